@@ -15,6 +15,7 @@ import numpy as np
 import toolkit
 from toolkit.cli.errors import one_line_errors
 from toolkit.errors import DatasetError
+from toolkit.evaluation.metrics import flattened
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 
 
@@ -24,9 +25,9 @@ def main(run_folder: Path) -> int:
     truth = run.open_dataset().ground_truth
     if truth is None:
         raise DatasetError(f"the dataset of {run_folder} has no ground-truth trajectory")
-    for name, value in toolkit.evaluate(run, max_views=20).items():
+    for name, value in flattened(toolkit.evaluate(run, max_views=20)).items():
         if value is not None:
-            print(f"{name:<32}{value:.3f}" if isinstance(value, float) else f"{name:<32}{value}")
+            print(f"{name:<44}{value:.3f}" if isinstance(value, float) else f"{name:<44}{value}")
     errors_m = absolute_trajectory_error(run.trajectory, truth).errors_m
     worst = int(np.argmax(errors_m))
     print(f"largest position error: {100 * errors_m[worst]:.2f} cm, tracked frame {worst}")

@@ -107,7 +107,7 @@ def run_time_ms(options: Options, variables: dict[str, str]) -> float:
         sequence = sequence_arguments(options.sequence)
         semsplat("run", "--out", str(out), *sequence, *frames, variables=variables)
         metrics = json.loads((out / "metrics.json").read_text())
-    return float(metrics["total_ms_per_frame"])
+    return float(metrics["time"]["total_ms_per_frame"])
 
 
 @contextmanager

@@ -170,7 +170,7 @@ def _run_times(out: Path) -> list[float]:
     times = []
     for path in out.glob("ring/default/*/metrics.json"):
         metrics = json.loads(path.read_text())
-        times.append(metrics["total_ms_per_frame"] * metrics["frames"] / 1000.0)
+        times.append(metrics["time"]["total_ms_per_frame"] * metrics["frames"]["total"] / 1000.0)
     return times
 
 

@@ -23,7 +23,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import tyro
 
@@ -32,6 +32,7 @@ from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table, Target, target_table
+from toolkit.evaluation.metrics import flattened, read_metrics
 
 RowName = Literal[
     "dense-slam", "dense-slam-tuned", "odometry", "odometry-planes", "semsplat", "semsplat-avx2"
@@ -131,16 +132,16 @@ def our_figures(name: str, arguments: Arguments, folder: Path, repeat: int) -> F
     command = semsplat_command("run", "--out", str(out))
     command += ["--seed", str(repeat), *_frame_options(arguments), *arguments.ours.split()]
     _run(command, arguments.timeout_s, {"SEMSPLAT_ISA": "avx2"} if name.endswith("avx2") else {})
-    metrics: dict[str, Any] = json.loads((out / "metrics.json").read_text())
+    metrics = flattened(read_metrics(out / "metrics.json"))
     return {
-        "ate_rmse_cm": metrics.get("ate_rmse_cm"),
-        "rpe_rotation_deg": metrics.get("rpe_rotation_deg"),
-        "track_ms": metrics.get("tracking_ms_per_frame"),
-        "integrate_ms": metrics.get("mapping_ms_per_frame"),
+        "ate_rmse_cm": metrics.get("trajectory.ate_rmse_cm"),
+        "rpe_rotation_deg": metrics.get("trajectory.rpe_rotation_deg"),
+        "track_ms": metrics.get("time.tracking_ms_per_frame"),
+        "integrate_ms": metrics.get("time.mapping_ms_per_frame"),
         "ray_cast_ms": None,
-        "online_ms": metrics.get("online_ms_per_frame"),
-        "frame_ms": metrics.get("total_ms_per_frame"),
-        "peak_memory_mb": metrics.get("peak_memory_mb"),
+        "online_ms": metrics.get("time.online_ms_per_frame"),
+        "frame_ms": metrics.get("time.total_ms_per_frame"),
+        "peak_memory_mb": metrics.get("memory.peak_mb"),
     }
 
 

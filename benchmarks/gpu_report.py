@@ -80,9 +80,6 @@ class Stopwatch:
         yield
         self.ms[stage].append(1e3 * (self._now() - start))
 
-    def count(self, name: str, value: float) -> None:
-        """See Recorder."""
-
     def median_ms(self, stage: str) -> float:
         """Median time of a stage, nan where it never ran."""
         return statistics.median(self.ms[stage]) if self.ms[stage] else float("nan")

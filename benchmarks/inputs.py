@@ -8,7 +8,6 @@ folder.
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from benchmarks.input_kinds import FRAMES, KINDS, Kind, write_room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.repository import ROOT
 from benchmarks.tables import Metrics, Table
+from toolkit.evaluation.metrics import flattened, read_metrics
 
 DESCRIPTION = """\
 A synthetic room ({frames} frames, 160x120) in the form of each kind of recording, given to the
@@ -83,7 +83,7 @@ def outcome(tree: Path, kind: Kind) -> str:
         )
         metrics = out / "metrics.json"
         if done.returncode == 0 and metrics.exists():
-            return _map_line(json.loads(metrics.read_text()), kind, done.stderr)
+            return _map_line(flattened(read_metrics(metrics)), kind, done.stderr)
         lines = (done.stdout + done.stderr).strip().splitlines() or [""]
         message = lines[-1].replace(str(Path(temporary)), "").removeprefix("semsplat: error: ")
         short = message if len(message) <= _MAX_MESSAGE else message[: _MAX_MESSAGE - 3] + "..."
@@ -91,9 +91,9 @@ def outcome(tree: Path, kind: Kind) -> str:
 
 
 def _map_line(metrics: Mapping[str, Any], kind: Kind, log: str) -> str:
-    ate_cm, psnr_db = metrics["ate_rmse_cm"], metrics["psnr_db"]
+    ate_cm, psnr_db = metrics["trajectory.ate_rmse_cm"], metrics["images.mapped.psnr_db"]
     ate = "" if ate_cm is None else f", ATE {ate_cm / kind.scale:.2f} cm"
-    lost = metrics["frames_lost"] + (metrics.get("frames_doubtful") or 0)
+    lost = metrics["frames.lost"] + (metrics.get("frames.doubtful") or 0)
     psnr = "no view" if psnr_db is None else f"{psnr_db:.1f} dB"
     words = ("not agree", "shifted relative", "contradict", "count as missing", "interpolated")
     reported = ", reported" if any(word in log for word in words) else ""

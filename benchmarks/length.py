@@ -29,9 +29,9 @@ COLUMNS = (
     "ms per frame, quarters",
     "finish_s",
     "submaps",
-    "frames_lost",
-    "gaussians",
-    "peak_memory_mb",
+    "frames.lost",
+    "map.gaussians",
+    "memory.peak_mb",
 )
 ROWS = {"3 rooms, 600 frames": "rooms", "12 rooms, 2400 frames": "hall"}
 DESCRIPTION = """\
@@ -66,7 +66,7 @@ def main() -> None:
     )
     jobs = {name: {"room": place, "poses": options.poses} for name, place in ROWS.items()}
     rows = report.measured(jobs, measure)
-    short, long = (median_of(rows)(name, "peak_memory_mb") for name in ROWS)
+    short, long = (median_of(rows)(name, "memory.peak_mb") for name in ROWS)
     growth = long / short if short and long else None
     target = Target("memory of four times the length, ratio", growth, at_most=1.3)
     report.write(table_of(COLUMNS, rows), target_table([target]))

@@ -21,23 +21,24 @@ from benchmarks.programs import semsplat
 from benchmarks.recordings import sequence_arguments
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, table_of
+from toolkit.evaluation.metrics import flattened, read_metrics
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.runs.finished import load_run
 
 FPS = 10
 COLUMNS = (
-    "frames",
-    "frames_dropped",
-    "frames_lost",
-    "keyframes",
-    "captured_fps",
-    "delay_median_ms",
-    "delay_p95_ms",
-    "delay_max_ms",
-    "ate_rmse_cm",
+    "frames.total",
+    "live.frames_dropped",
+    "frames.lost",
+    "frames.keyframes",
+    "live.captured_fps",
+    "live.delay_median_ms",
+    "live.delay_p95_ms",
+    "live.delay_max_ms",
+    "trajectory.ate_rmse_cm",
     "ate_processed_rmse_cm",
-    "psnr_db",
+    "images.mapped.psnr_db",
     "recording_mb",
     "viewer_updates",
     "viewer_mb",
@@ -60,9 +61,10 @@ ROWS: dict[str, list[str]] = {
 DESCRIPTION = f"""\
 Datasets as live cameras: `semsplat live --camera replay --fps {FPS}`. The files `sequences` and
 `pace` have offline runs of the same sequences. The delay is the time from the capture of a frame to
-its pose, without dropped frames. `ate_rmse_cm` scores all frames, dropped ones at the last pose
-before them; `ate_processed_rmse_cm` scores the frames that were processed. Without `--pace`, each
-frame is processed completely, and only the newest one waits; with `--pace`, optimisation is
+its pose, without dropped frames. `trajectory.ate_rmse_cm` scores all frames, dropped ones at the
+last pose before them; `ate_processed_rmse_cm` scores the frames that were processed. Without
+`--pace`, each frame is processed completely, and only the newest one waits; with `--pace`,
+optimisation is
 deferred to the time between the frames. `--record` writes frames, poses, map and times to a file
 for the viewer of Rerun. With "viewer attached", `semsplat view --live` follows the run in a process
 of its own, on the same machine; its client is a websocket that receives what a browser would and
@@ -91,7 +93,7 @@ def measure(job: list[str], seed: int) -> Metrics:
         options = [*sequence_arguments(sequence), *(word for word in words if word != VIEWER)]
         with attached_viewer(out) if VIEWER in words else nullcontext() as viewer:
             semsplat(program, *options, "--seed", str(seed), "--out", str(out))
-        metrics: Metrics = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+        metrics = flattened(read_metrics(out / "metrics.json"))
         metrics["ate_processed_rmse_cm"] = _processed_error_cm(out)
         metrics["viewer_updates"] = viewer and viewer.updates
         metrics["viewer_mb"] = viewer and viewer.received_mb

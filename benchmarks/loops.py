@@ -72,15 +72,15 @@ ROWS: dict[str, Values] = {
     "and verification (default)": {},
 }
 COLUMNS = (
-    "loop_precision_suspected_percent",
-    "loop_recall_suspected_percent",
-    "loop_f1_suspected_percent",
-    "loop_precision_percent",
-    "loop_recall_percent",
-    "loop_f1_percent",
-    "ate_rmse_cm",
-    "psnr_db",
-    "frames_lost",
+    "loops.suspected.overlap.precision_percent",
+    "loops.suspected.overlap.recall_percent",
+    "loops.suspected.overlap.f1_percent",
+    "loops.verified.overlap.precision_percent",
+    "loops.verified.overlap.recall_percent",
+    "loops.verified.overlap.f1_percent",
+    "trajectory.ate_rmse_cm",
+    "images.mapped.psnr_db",
+    "frames.lost",
     "edges",
     "edges_false",
 )
@@ -269,7 +269,6 @@ class DescribedSequence:
         return LoopScore(
             accepted=len(pairs),
             correct=len(correct),
-            searched=len(self.truth),
             with_loop=int(self.truth.any(axis=1).sum()),
             found=len({query for query, _ in correct}),
             true_intervals=int(self.truth.sum()),

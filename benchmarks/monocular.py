@@ -29,48 +29,48 @@ COLUMNS = (
     "ate_rmse_cm",
     "still_cm",
     "path_m",
-    "ate_scale",
+    "trajectory.scale",
     "rotation_rms_deg",
-    "frames_lost",
-    "psnr_db",
+    "frames.lost",
+    "images.mapped.psnr_db",
     "depth_density_percent",
     "depth_median_error_percent",
     "depth_outliers_percent",
     "focal_error_percent",
 )
 RELIABILITY = (
-    "monocular_reliable",
-    "monocular_doubts",
-    "monocular_extent",
-    "monocular_scale_sigma_percent",
-    "monocular_reprojection_px",
-    "monocular_keyframes",
-    "monocular_focal_sigma_percent",
+    "monocular.reliable",
+    "monocular.doubts",
+    "monocular.extent",
+    "monocular.scale_sigma_percent",
+    "monocular.reprojection_px",
+    "monocular.keyframes",
+    "monocular.focal_sigma_percent",
 )
 REVISITS = (
-    "monocular_revisits",
-    "monocular_revisits_rejected",
+    "monocular.revisits",
+    "monocular.revisits_rejected",
     "ate_rmse_cm",
     "ate_without_revisits_cm",
     "scale_drift_percent",
     "scale_drift_without_revisits_percent",
 )
 COST = (
-    "motion_ms_per_frame",
-    "tracking_ms_per_frame",
-    "mapping_ms_per_frame",
-    "refinement_ms_per_frame",
-    "online_ms_per_frame",
-    "total_ms_per_frame",
-    "gaussians",
-    "frames",
-    "peak_memory_mb",
+    "monocular.motion_ms_per_frame",
+    "time.tracking_ms_per_frame",
+    "time.mapping_ms_per_frame",
+    "time.refinement_ms_per_frame",
+    "time.online_ms_per_frame",
+    "time.total_ms_per_frame",
+    "map.gaussians",
+    "frames.total",
+    "memory.peak_mb",
 )
 WORST = {
     "ate_rmse_cm": max,
     "rotation_rms_deg": max,
-    "frames_lost": max,
-    "psnr_db": min,
+    "frames.lost": max,
+    "images.mapped.psnr_db": min,
     "depth_density_percent": min,
     "depth_median_error_percent": max,
     "depth_outliers_percent": max,
@@ -135,7 +135,7 @@ true depth that have an estimated one, its median relative error, and the fracti
 above {OUTLIER:.0%}. Drift of the scale: its change from the first quarter of the frames to the last
 one; it means little where the camera hardly moves. Without revisits: the motion if places that the
 camera visits again do not correct it. The motion of the whole sequence is estimated before it is
-mapped (`motion_ms_per_frame`, part of the total)."""
+mapped (`monocular.motion_ms_per_frame`, part of the total)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +183,7 @@ def targets(rows: Rows) -> list[Target]:
         return None if error is None or not path else error / path
 
     def reliable(row: str) -> float | None:
-        return worst_of(rows.get(row, ()), "monocular_reliable", max)
+        return worst_of(rows.get(row, ()), "monocular.reliable", max)
 
     return [
         Target("office0, ATE in cm", ate(OFFICE), at_most=2.0),
@@ -191,7 +191,7 @@ def targets(rows: Rows) -> list[Target]:
         Target("EuRoC, ATE in cm", ate(EUROC), at_most=5.0),
         Target("room, ATE in % of the path", ate_percent(ROOM), at_most=1.0),
         Target("noisy room, ATE in % of the path", ate_percent(NOISY), at_most=2.0),
-        Target("room, PSNR in dB", median(ROOM, "psnr_db"), at_least=30.0),
+        Target("room, PSNR in dB", median(ROOM, "images.mapped.psnr_db"), at_least=30.0),
         Target("ring, drift of scale in %", median(RING, "scale_drift_percent"), at_most=2.0),
         Target("hardly moving camera, called reliable (0: no)", reliable(STILL), at_most=0.0),
         Target("fr1/rpy, called reliable (0: no)", reliable(RPY), at_most=0.0),

@@ -59,7 +59,7 @@ def measure(job: dict[str, Any], seed: int) -> Metrics:
     if job["film"]:
         return metrics | _focal(metrics, dataset)
     motion = estimate_motion(dataset, dataset.camera)
-    scale = metrics.get("ate_scale")
+    scale = metrics.get("trajectory.scale")
     if isinstance(scale, float):
         metrics |= _depth(dataset, motion, scale)
     return metrics | _without_revisits(dataset, truth)
@@ -123,7 +123,7 @@ def _with_film_times(truth: Trajectory, dataset: RecordedDataset) -> Trajectory:
 
 
 def _focal(metrics: Metrics, dataset: RecordedDataset) -> Metrics:
-    focal = metrics.get("monocular_focal_px")
+    focal = metrics.get("monocular.focal_px")
     if not isinstance(focal, float):
         return {}
     return {"focal_error_percent": 100.0 * abs(focal / dataset.camera.focal - 1.0)}

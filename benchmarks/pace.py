@@ -8,7 +8,6 @@ Run it on an idle machine: the results depend on the time that the machine has f
 from __future__ import annotations
 
 import csv
-import json
 import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,7 @@ from benchmarks.recordings import sequence_arguments
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import MISSING, Metrics, Table, table_of
 from toolkit.datasets.registry import open_dataset
+from toolkit.evaluation.metrics import flattened, read_metrics
 from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation import evaluate_scene
 from toolkit.runs.folder import RunFolder
@@ -31,25 +31,25 @@ from toolkit.runs.results import tracked_frames
 from toolkit.runs.settings import load_settings
 
 COLUMNS = (
-    "pace_fps",
-    "ate_rmse_cm",
+    "pace.fps",
+    "trajectory.ate_rmse_cm",
     "psnr_before_refinement_db",
-    "psnr_db",
-    "psnr_unseen_refined_db",
-    "delay_median_ms",
-    "delay_p95_ms",
-    "delay_max_ms",
-    "delay_bound_ms",
-    "frames",
-    "frames_dropped",
-    "frames_late",
-    "frames_lost",
-    "keyframes",
-    "keyframes_thinned",
-    "mapping_steps_due",
-    "mapping_steps_deferred",
-    "mapping_steps_skipped",
-    "refinement_ms_per_frame",
+    "images.mapped.psnr_db",
+    "images.unseen_refined.psnr_db",
+    "pace.delay_median_ms",
+    "pace.delay_p95_ms",
+    "pace.delay_max_ms",
+    "pace.delay_bound_ms",
+    "frames.total",
+    "pace.frames_dropped",
+    "pace.frames_late",
+    "frames.lost",
+    "frames.keyframes",
+    "pace.keyframes_thinned",
+    "pace.mapping_steps_due",
+    "pace.mapping_steps_deferred",
+    "pace.mapping_steps_skipped",
+    "time.refinement_ms_per_frame",
 )
 ROWS: dict[str, list[str]] = {
     "RedKitchen, offline": ["redkitchen"],
@@ -100,7 +100,7 @@ def measure(job: list[str], seed: int) -> Metrics:
         out = Path(temporary) / "run"
         arguments = [*sequence_arguments(sequence), *options, "--seed", str(seed)]
         semsplat("run", *arguments, "--out", str(out))
-        metrics: Metrics = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+        metrics = flattened(read_metrics(out / "metrics.json"))
         folder = RunFolder.open(out)
         if folder.delays.exists():
             metrics |= _delays(folder.delays)
@@ -132,9 +132,8 @@ def _psnr_before_refinement(folder: RunFolder) -> float | None:
     slam.restore(checkpoint.arrays, checkpoint.values)
     result = slam.finish()
     tracked = tracked_frames(result, settings)
-    value = evaluate_scene(result.map, tracked, dataset, settings)["psnr_db"]
-    assert not isinstance(value, str)
-    return value
+    value = evaluate_scene(result.map, tracked, dataset, settings)["images"]["mapped"]["psnr_db"]
+    return None if value is None else float(value)
 
 
 def delay_table(runs: Mapping[str, Metrics], figure: str) -> Table:
@@ -175,7 +174,7 @@ def draw(runs: Mapping[str, Metrics], path: Path) -> None:
         dropped = np.isnan(delays_ms)
         panel.plot(arrivals_s, delays_ms, linewidth=1, marker=".", markersize=2)
         panel.plot(arrivals_s[dropped], np.zeros(dropped.sum()), "|r", label="dropped frames")
-        panel.axhline(run["delay_bound_ms"], color="black", linestyle="--", linewidth=1)
+        panel.axhline(run["pace.delay_bound_ms"], color="black", linestyle="--", linewidth=1)
         panel.set(title=name, xlabel="time of arrival, s", ylabel="delay, ms", ylim=(0, None))
         if dropped.any():
             panel.legend(loc="upper right")

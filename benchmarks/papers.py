@@ -26,6 +26,7 @@ from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, Rows, Table, table_of
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import TrueViews, loop_metrics
+from toolkit.evaluation.metrics import flattened
 from toolkit.evaluation.run_loops import true_views
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.io.arrays import arrays_below
@@ -76,7 +77,12 @@ PARTS: dict[PartName, Part] = {
     "tracking": Part(
         "Semantics in tracking (G-2)",
         ("office0",),
-        ("ate_rmse_cm", "psnr_db", "miou_percent", "frames_lost"),
+        (
+            "trajectory.ate_rmse_cm",
+            "images.mapped.psnr_db",
+            "semantics.mapped.miou_percent",
+            "frames.lost",
+        ),
         {
             "dense tracker (default)": {},
             "gausem preset without semantics": {
@@ -91,7 +97,13 @@ PARTS: dict[PartName, Part] = {
     "colour": Part(
         "SSIM on the semantic colour (G-3)",
         ("office0",),
-        ("psnr_db", "miou_percent", "miou_unseen_percent", "miou_level_0_percent", "ece_percent"),
+        (
+            "images.mapped.psnr_db",
+            "semantics.mapped.miou_percent",
+            "semantics.unseen.miou_percent",
+            "semantics.mapped.level_0.miou_percent",
+            "semantics.mapped.ece_percent",
+        ),
         {
             "one-hot code (default)": _GIVEN,
             "colour code, L1": {**_GIVEN, "semantics": _COLOUR},
@@ -105,7 +117,13 @@ PARTS: dict[PartName, Part] = {
     "network": Part(
         "One inter-level network for all submaps (H-12)",
         ("office0, many submaps",),
-        ("miou_percent", "miou_unseen_percent", "miou_level_0_percent", "ece_percent", "submaps"),
+        (
+            "semantics.mapped.miou_percent",
+            "semantics.unseen.miou_percent",
+            "semantics.mapped.level_0.miou_percent",
+            "semantics.mapped.ece_percent",
+            "submaps",
+        ),
         {
             "read by path, no network (default)": _GIVEN,
             "read by the network, no rehearsal": {
@@ -140,11 +158,11 @@ PARTS: dict[PartName, Part] = {
         "Landmarks of observed Gaussians (G-7)",
         (),
         (
-            "loop_precision_percent",
-            "loop_recall_percent",
-            "loop_f1_percent",
-            "loops_searched",
-            "loops_accepted",
+            "overlap.precision_percent",
+            "overlap.recall_percent",
+            "overlap.f1_percent",
+            "searched",
+            "accepted",
         ),
         {
             "descriptor alone": {"landmarks": {"min_count": _NEVER}},
@@ -162,7 +180,13 @@ PARTS: dict[PartName, Part] = {
     "correction": Part(
         "Mapping after a correction inside a submap (G, III.C)",
         ("redkitchen, always corrected", "ring, always corrected"),
-        ("ate_rmse_cm", "psnr_db", "miou_percent", "corrections", "largest correction cm"),
+        (
+            "trajectory.ate_rmse_cm",
+            "images.mapped.psnr_db",
+            "semantics.mapped.miou_percent",
+            "corrections",
+            "largest correction cm",
+        ),
         {
             "none": {"loops": {"closing": {"mapping_iterations": 0}}},
             "10 iterations a keyframe (default)": {},
@@ -277,7 +301,8 @@ def searched(values: Values, seed: int) -> Metrics:
     )
     found = [c for k in ring.keyframes[landmarks.counted] for c in finder.add(k) if c.accepted]
     frames = [keyframe.frame for keyframe in ring.keyframes[landmarks.counted]]
-    return loop_metrics(ring.views, frames, [(c.query, c.match) for c in found])
+    metrics = loop_metrics(ring.views, frames, [(c.query, c.match) for c in found])
+    return {"searched": len(frames), **flattened(metrics)}
 
 
 @dataclass(frozen=True)

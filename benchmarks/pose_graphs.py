@@ -11,12 +11,11 @@ from pathlib import Path
 
 import tyro
 
+from benchmarks.pose_graph_files import graph_of, read_pose_graph
 from benchmarks.recordings import Recording
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
-from toolkit.io.pose_graphs import read_pose_graph
-from toolkit.loops.pose_graph.files import graph_of
 from toolkit.loops.pose_graph.solver import solve
 
 # After InitializePose3 and Levenberg-Marquardt, as GTSAM's readG2o reads the files.
@@ -45,7 +44,7 @@ class Options:
 def main() -> None:
     """Measure one row for each graph; exit with 1 if one misses its optimum."""
     options = tyro.cli(Options)
-    header = current_header((), ("toolkit/loops/pose_graph", "toolkit/io/pose_graphs.py"))
+    header = current_header((), ("toolkit/loops/pose_graph",))
     folder = Recording("", "pose_graphs").path
     rows = []
     missed = False

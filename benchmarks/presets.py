@@ -32,18 +32,18 @@ PRESETS: tuple[PresetName, ...] = tuple(
 )
 SEQUENCES = {"RedKitchen": "redkitchen", "fr1_rpy": "fr1_rpy", "room": "room"}
 
-ONLINE, TOTAL = "online_ms_per_frame", "total_ms_per_frame"
+ONLINE, TOTAL = "time.online_ms_per_frame", "time.total_ms_per_frame"
 COLUMNS = (
-    "ate_rmse_cm",
-    "psnr_db",
-    "ssim",
-    "depth_l1_cm",
-    "miou_percent",
-    "frames_lost",
-    "gaussians",
+    "trajectory.ate_rmse_cm",
+    "images.mapped.psnr_db",
+    "images.mapped.ssim",
+    "depth.mapped.l1_cm",
+    "semantics.mapped.miou_percent",
+    "frames.lost",
+    "map.gaussians",
     ONLINE,
     TOTAL,
-    "frames",
+    "frames.total",
 )
 PLOT = "presets.svg"
 DESCRIPTION = f"""\
@@ -125,7 +125,7 @@ def plot(rows: Rows, path: Path) -> None:
     """Draw ATE and PSNR of each sequence over the total time per frame."""
     figure = Figure(figsize=(9.5, 5.2), layout="constrained")
     axes = figure.subplots(2, len(SEQUENCES), sharex="col", squeeze=False)
-    metrics = {"ate_rmse_cm": "ATE RMSE in cm", "psnr_db": "PSNR in dB"}
+    metrics = {"trajectory.ate_rmse_cm": "ATE RMSE in cm", "images.mapped.psnr_db": "PSNR in dB"}
     for column, title in enumerate(SEQUENCES):
         for line, (metric, label) in enumerate(metrics.items()):
             values = _points(rows, title, metric)

@@ -89,14 +89,14 @@ def _wrapped(line: str) -> str:
 
 def _sequences(figures: Figures) -> str:
     columns = (
-        ("ATE RMSE", "ate_rmse_cm", " cm", 2),
-        ("mapped views", "psnr_db", " dB", 1),
-        ("unseen views", "psnr_unseen_db", " dB", 1),
-        ("unseen, refined", "psnr_unseen_refined_db", " dB", 1),
-        ("loop recall", "loop_recall_percent", " %", 1),
-        ("tracking", "tracking_ms_per_frame", " ms", 0),
-        ("mapping", "mapping_ms_per_frame", " ms", 0),
-        ("refinement", "refinement_ms_per_frame", " ms", 0),
+        ("ATE RMSE", "trajectory.ate_rmse_cm", " cm", 2),
+        ("mapped views", "images.mapped.psnr_db", " dB", 1),
+        ("unseen views", "images.unseen.psnr_db", " dB", 1),
+        ("unseen, refined", "images.unseen_refined.psnr_db", " dB", 1),
+        ("loop recall", "loops.verified.overlap.recall_percent", " %", 1),
+        ("tracking", "time.tracking_ms_per_frame", " ms", 0),
+        ("mapping", "time.mapping_ms_per_frame", " ms", 0),
+        ("refinement", "time.refinement_ms_per_frame", " ms", 0),
     )
     rows = []
     for name in sequences.ROWS:
@@ -153,7 +153,7 @@ def _best_of_open3d(figures: Figures, name: str) -> str:
 
 def _labels(figures: Figures) -> str:
     quality, room = "semantics-quality", "semantics-room"
-    mapped, unseen = "miou_percent", "miou_unseen_percent"
+    mapped, unseen = "semantics.mapped.miou_percent", "semantics.unseen.miou_percent"
 
     def cell(name: str, column: str) -> str:
         return figures.cell(name, "one-hot", column, " %", 1)
@@ -162,7 +162,7 @@ def _labels(figures: Figures) -> str:
         f"Labels, mIoU over classes: office0 with given poses {cell(quality, mapped)} on mapped "
         f"and {cell(quality, unseen)} on unseen views; synthetic room of 40 classes, tracked, "
         f"{cell(room, mapped)} and {cell(room, unseen)} "
-        f"({cell(room, 'miou_unseen_refined_percent')} with refined poses). "
+        f"({cell(room, 'semantics.unseen_refined.miou_percent')} with refined poses). "
         f"{figures.source(quality, room)}."
     )
 
@@ -173,22 +173,27 @@ def _ring(figures: Figures) -> str:
     def cell(row: str, column: str, unit: str = " cm") -> str:
         return figures.cell(name, row, column, unit)
 
-    everything = ring.EVERYTHING
+    everything, ate = ring.EVERYTHING, "trajectory.ate_rmse_cm"
+    median = cell(everything, "map.walls.thickness_cm")
+    p95 = cell(everything, "map.walls.thickness_p95_cm")
     return (
         "Ring of four rooms, 26 m, with sensor noise at 320x240: ATE "
-        f"{cell(ring.ODOMETRY, 'ate_rmse_cm')} without loops, {cell(everything, 'ate_rmse_cm')} "
-        f"with loops, {cell(ring.DRIFTED, 'ate_rmse_cm')} with added drift of {ring.DRIFT_M} m per "
-        f"submap; walls are {cell(everything, 'wall_thickness_cm')} thick "
-        f"(95th percentile {cell(everything, 'wall_thickness_p95_cm')}). {figures.source(name)}."
+        f"{cell(ring.ODOMETRY, ate)} without loops, {cell(everything, ate)} with loops, "
+        f"{cell(ring.DRIFTED, ate)} with added drift of {ring.DRIFT_M} m per submap; walls are "
+        f"{median} thick (95th percentile {p95}). {figures.source(name)}."
     )
 
 
 def _weak(figures: Figures) -> str:
     """Metrics that are poor, and targets that are missed."""
     lines = []
-    recall = figures.cell("sequences", sequences.ROOM, "loop_recall_percent", " %", 1)
+    recall = figures.cell(
+        "sequences", sequences.ROOM, "loops.verified.overlap.recall_percent", " %", 1
+    )
     if recall != MISSING:
-        searched = figures.cell("sequences", sequences.ROOM, "loops_searched_with_truth", digits=0)
+        searched = figures.cell(
+            "sequences", sequences.ROOM, "loops.verified.overlap.searched_with_truth", digits=0
+        )
         lines.append(
             f"- Loop recall in the synthetic room is {recall}, over {searched} searched keyframes "
             "with a true loop."

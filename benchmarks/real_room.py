@@ -44,9 +44,14 @@ MIN_WALKER = 0.01
 # Pixels beside the walker that may be hidden without being counted as wrong, at a width of 320.
 TOLERANCE_PIXELS = 8
 COLUMNS = (
-    *("ate_rmse_cm", "psnr clean db", "psnr clean per channel db", "psnr behind walker db"),
+    *(
+        "trajectory.ate_rmse_cm",
+        "psnr clean db",
+        "psnr clean per channel db",
+        "psnr behind walker db",
+    ),
     *("walker hidden percent", "wrongly hidden percent"),
-    *("psnr_unseen_db", "gaussians", "frames_lost", "online_ms_per_frame"),
+    *("images.unseen.psnr_db", "map.gaussians", "frames.lost", "time.online_ms_per_frame"),
 )
 MAPPED = {"mapping": {"moving_objects": False}}
 CLEAN, REAL = "clean", "real"
@@ -108,7 +113,11 @@ def targets(rows: Rows) -> list[Target]:
         return None if real is None or clean is None else sign * (real - clean)
 
     return [
-        Target("ATE above that of the clean room, cm", behind("ate_rmse_cm", 1.0), at_most=0.1),
+        Target(
+            "ATE above that of the clean room, cm",
+            behind("trajectory.ate_rmse_cm", 1.0),
+            at_most=0.1,
+        ),
         Target("PSNR below, dB", behind("psnr clean db", -1.0), at_most=1.5),
         Target(
             "PSNR per channel below, dB", behind("psnr clean per channel db", -1.0), at_most=1.5

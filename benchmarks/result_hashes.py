@@ -10,7 +10,8 @@ a process of its own with two threads, or with OMP_NUM_THREADS. Rounding differs
 and instruction sets, so hashes are compared on one machine only.
 
 Hashed are `trajectory.txt`, `map.ply`, `loops.jsonl` and the values of `metrics.json` other than
-times and memory. With `--compare`, metrics that only one side has are listed but do not count.
+times and memory, by dotted key. With `--compare`, metrics that only one side has are listed but do
+not count: those are all of them in a file that was written while `metrics.json` was flat.
 The exit status is 1 where anything differs.
 """
 
@@ -30,10 +31,11 @@ import tyro
 
 from benchmarks.machine import describe_machine
 from benchmarks.programs import semsplat_command
+from toolkit.evaluation.metrics import flattened, read_metrics
 
 FILES = ("trajectory.txt", "map.ply", "loops.jsonl")
 # Metrics that no two runs share.
-UNSTABLE = ("_ms", "_ms_per_frame", "_s", "memory_mb")
+UNSTABLE = ("_ms", "_ms_per_frame", "_s", "peak_mb")
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ def _results(arguments: list[str]) -> dict[str, Any]:
         environment = {**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "2")}
         subprocess.run(command, check=True, stderr=subprocess.DEVNULL, env=environment)
         results: dict[str, Any] = {file: _hash(out / file) for file in FILES}
-        metrics = json.loads((out / "metrics.json").read_text())
+        metrics = flattened(read_metrics(out / "metrics.json"))
         results["metrics"] = {k: v for k, v in metrics.items() if not k.endswith(UNSTABLE)}
         return results
 

@@ -21,9 +21,10 @@ from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
+from toolkit.evaluation.metrics import flattened, read_metrics
 
 SAME_BYTES = ("trajectory.txt", "map.ply", "loops.jsonl", "frames.json", "config.yaml")
-DIFFERENT_EACH_TIME = ("_ms_per_frame", "_memory_mb")
+DIFFERENT_EACH_TIME = ("_ms_per_frame", "memory.peak_mb")
 
 
 DESCRIPTION = """\
@@ -99,7 +100,7 @@ def _differences(whole: Path, resumed: Path) -> list[str]:
 
 
 def _lasting(run: Path) -> dict[str, object]:
-    metrics = json.loads((run / "metrics.json").read_text())
+    metrics = flattened(read_metrics(run / "metrics.json"))
     return {k: v for k, v in metrics.items() if not k.endswith(DIFFERENT_EACH_TIME)}
 
 

@@ -61,12 +61,17 @@ AROUND = 5
 MIN_OBJECT = 0.01
 SHELL = ("wall", "floor", "ceiling", "window", "door")
 
-QUALITY = ("ate_rmse_cm", "psnr_db", "ssim", "miou_percent")
-WALLS = ("wall_thickness_cm", "wall_thickness_p95_cm")
-TIMES = ("tracking_ms_per_frame", "mapping_ms_per_frame", "refinement_ms_per_frame")
-RECALL = ("loop_precision_percent", "loop_recall_percent")
+QUALITY = (
+    "trajectory.ate_rmse_cm",
+    "images.mapped.psnr_db",
+    "images.mapped.ssim",
+    "semantics.mapped.miou_percent",
+)
+WALLS = ("map.walls.thickness_cm", "map.walls.thickness_p95_cm")
+TIMES = ("time.tracking_ms_per_frame", "time.mapping_ms_per_frame", "time.refinement_ms_per_frame")
+RECALL = ("loops.verified.overlap.precision_percent", "loops.verified.overlap.recall_percent")
 LOOPS = (*RECALL, "loops", "keyframes moved")
-SIZE = ("submaps", "gaussians", "frames_lost", "peak_memory_mb")
+SIZE = ("submaps", "map.gaussians", "frames.lost", "memory.peak_mb")
 BOUNDARIES = ("submaps", "objects cut", "psnr at boundaries", *QUALITY)
 EVERYTHING = "loops and refinement"
 ODOMETRY = "no loops, no refinement"
@@ -199,7 +204,7 @@ def each_ring(rows: Rows, seeds: int) -> Table:
     """ATE and loops of each ring by itself."""
     cells = []
     for name, runs in rows.items():
-        for column in ("ate_rmse_cm", *RECALL):
+        for column in ("trajectory.ate_rmse_cm", *RECALL):
             cells.append((f"{name}: {column}", *(median_cell([r.get(column)]) for r in runs)))
     columns = ("", *(f"ring {seed}" for seed in range(seeds)))
     return Table(columns, tuple(cells), "Each ring")
@@ -209,12 +214,20 @@ def summary_targets(rows: Rows) -> list[Target]:
     """What loops and refinement should reach."""
     median = median_of(rows)
     return [
-        Target("ATE in cm", median(EVERYTHING, "ate_rmse_cm"), at_most=0.5),
+        Target("ATE in cm", median(EVERYTHING, "trajectory.ate_rmse_cm"), at_most=0.5),
         Target(
-            "precision of loops in %", median(EVERYTHING, "loop_precision_percent"), at_least=100
+            "precision of loops in %",
+            median(EVERYTHING, "loops.verified.overlap.precision_percent"),
+            at_least=100,
         ),
-        Target("recall of loops in %", median(EVERYTHING, "loop_recall_percent"), at_least=85),
-        Target("ATE with added drift in cm", median(DRIFTED, "ate_rmse_cm"), at_most=1.5),
+        Target(
+            "recall of loops in %",
+            median(EVERYTHING, "loops.verified.overlap.recall_percent"),
+            at_least=85,
+        ),
+        Target(
+            "ATE with added drift in cm", median(DRIFTED, "trajectory.ate_rmse_cm"), at_most=1.5
+        ),
     ]
 
 
@@ -281,7 +294,7 @@ def at_boundaries(result: SlamResult, dataset: Dataset, settings: RunSettings) -
     shell = [number for number, name in names.items() if name in SHELL]
     psnr = None
     if near:
-        psnr = measure_run(result.map, near, dataset)["psnr_db"]
+        psnr = measure_run(result.map, near, dataset)["images"]["mapped"]["psnr_db"]
     cut = sum(_objects(dataset[boundary].labels, shell) for boundary in boundaries)
     return {"objects cut": cut, "psnr at boundaries": psnr}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from benchmarks.programs import semsplat
 from benchmarks.tables import Metrics
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.frame_costs import FrameCostRecorder
+from toolkit.evaluation.metrics import flattened, read_metrics
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.loops.log import read_loop_log
@@ -32,7 +32,7 @@ from toolkit.stages import Stage
 
 
 def run_metrics(arguments: Sequence[str], seed: int) -> Metrics:
-    """metrics.json of `semsplat run` in a process of its own.
+    """metrics.json of `semsplat run` in a process of its own, by dotted key.
 
     Raises:
         SystemExit: the run failed.
@@ -43,7 +43,7 @@ def run_metrics(arguments: Sequence[str], seed: int) -> Metrics:
 
 @contextmanager
 def finished_run(arguments: Sequence[str], seed: int) -> Iterator[tuple[Metrics, RunFolder]]:
-    """metrics.json and the folder of `semsplat run`, which exists within this context.
+    """metrics.json by dotted key and the folder of `semsplat run`, within this context.
 
     Raises:
         SystemExit: the run failed.
@@ -51,8 +51,7 @@ def finished_run(arguments: Sequence[str], seed: int) -> Iterator[tuple[Metrics,
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         semsplat("run", *arguments, "--seed", str(seed), "--out", str(out))
-        metrics: Metrics = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
-        yield metrics, RunFolder.open(out)
+        yield flattened(read_metrics(out / "metrics.json")), RunFolder.open(out)
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class FinishedSlam:
 
     Attributes:
         result: of the finished run.
-        metrics: metrics.json. records: loops.jsonl.
+        metrics: metrics.json by dotted key. records: loops.jsonl.
         frames_ms: processing time of each frame. finish_s: of refinement and fusion.
     """
 
@@ -96,7 +95,7 @@ def finished_slam(
             result = slam.finish()
         folder.check_taxonomy(result.taxonomy)
         write_results(result, dataset, folder, settings, RunRecord(watch, costs.costs()))
-        metrics = json.loads(folder.metrics.read_text(encoding="utf-8"))
+        metrics = flattened(read_metrics(folder.metrics))
         frames_ms = watch.durations_ms[Stage.ONLINE]
         (finish_ms,) = watch.durations_ms[Stage.FINISH]
         yield FinishedSlam(result, metrics, read_loop_log(folder.loops), frames_ms, finish_ms / 1e3)

@@ -30,16 +30,30 @@ from toolkit.mapping.consensus import connected_segments
 
 PartName = Literal["quality", "room", "noise", "ablation", "cost"]
 CODES = ("none", "flat", "one-hot", "binary")
-GEOMETRY = ("psnr_db", "psnr_unseen_db", "ssim", "depth_l1_cm")
-LABELS = ("miou_percent", "miou_unseen_percent", "miou_level_0_percent", "ece_percent")
-SUBSET = ("miou_visible_percent", "miou_subset_percent", "miou_subset_unseen_percent")
-TIMES = (
-    "tracking_ms_per_frame",
-    "labelling_ms_per_frame",
-    "mapping_ms_per_frame",
-    "refinement_ms_per_frame",
+GEOMETRY = (
+    "images.mapped.psnr_db",
+    "images.unseen.psnr_db",
+    "images.mapped.ssim",
+    "depth.mapped.l1_cm",
 )
-MEMORY = ("map_mb", "peak_memory_mb")
+LABELS = (
+    "semantics.mapped.miou_percent",
+    "semantics.unseen.miou_percent",
+    "semantics.mapped.level_0.miou_percent",
+    "semantics.mapped.ece_percent",
+)
+SUBSET = (
+    "semantics.mapped.miou_visible_percent",
+    "semantics.mapped.miou_subset_percent",
+    "semantics.unseen.miou_subset_percent",
+)
+TIMES = (
+    "time.tracking_ms_per_frame",
+    "time.labelling_ms_per_frame",
+    "time.mapping_ms_per_frame",
+    "time.refinement_ms_per_frame",
+)
+MEMORY = ("memory.map_mb", "memory.peak_mb")
 WRONG_SHARE = 0.2  # of the segments of each frame
 WRONG_LABELS = "WRONG_LABELS"  # stands in a job for the folder of the changed labels
 
@@ -93,21 +107,29 @@ def quality_targets(rows: Rows) -> list[Target]:
     """Accuracy of labels with given poses; codes beside each other."""
     median = median_of(rows)
 
-    def below(row: str, other: str, column: str = "miou_percent") -> float | None:
+    def below(row: str, other: str, column: str = "semantics.mapped.miou_percent") -> float | None:
         a, b = median(other, column), median(row, column)
         return None if a is None or b is None else a - b
 
     one_hot, binary = "one-hot", "binary"
-    unseen = "miou_unseen_percent"
+    unseen = "semantics.unseen.miou_percent"
     return [
-        Target("one-hot, mIoU of mapped views in %", median(one_hot, "miou_percent"), at_least=97),
+        Target(
+            "one-hot, mIoU of mapped views in %",
+            median(one_hot, "semantics.mapped.miou_percent"),
+            at_least=97,
+        ),
         Target("one-hot, mIoU of unseen views in %", median(one_hot, unseen), at_least=94.5),
         Target("one-hot, coarsest level in %", median(one_hot, LABELS[2]), at_least=99),
         Target("one-hot below flat, mapped, points", below(one_hot, "flat"), at_most=1),
         Target("binary below flat, mapped, points", below(binary, "flat"), at_most=2),
         Target("binary below one-hot, mapped, points", below(binary, one_hot), at_most=1),
         Target("binary below one-hot, unseen, points", below(binary, one_hot, unseen), at_most=1),
-        Target("one-hot below none, PSNR in dB", below(one_hot, "none", "psnr_db"), at_most=0.1),
+        Target(
+            "one-hot below none, PSNR in dB",
+            below(one_hot, "none", "images.mapped.psnr_db"),
+            at_most=0.1,
+        ),
     ]
 
 
@@ -116,13 +138,15 @@ def room_targets(rows: Rows) -> list[Target]:
     median = median_of(rows)
 
     def lost(row: str, column: str) -> float | None:
-        mapped, unseen = median(row, "miou_percent"), median(row, column)
+        mapped, unseen = median(row, "semantics.mapped.miou_percent"), median(row, column)
         return None if mapped is None or unseen is None else mapped - unseen
 
     targets = []
     for row, bound in (("one-hot", 95), ("binary", 93)):
-        mapped = median(row, "miou_percent")
-        refined, unrefined = (lost(row, f"miou_unseen{kind}_percent") for kind in ("_refined", ""))
+        mapped = median(row, "semantics.mapped.miou_percent")
+        refined, unrefined = (
+            lost(row, f"semantics.{views}.miou_percent") for views in ("unseen_refined", "unseen")
+        )
         targets += [
             Target(f"{row}, mIoU of mapped views in %", mapped, at_least=bound),
             Target(f"{row}, less on unseen views, poses refined, points", refined, at_most=3),
@@ -143,7 +167,7 @@ PARTS: dict[str, Part] = {
         "Semantic codes, poses given",
         f"{OFFICE_TEXT} Subset mIoU decodes each view among the classes of its own ground truth "
         "(`--evaluation.subset`).",
-        (*GEOMETRY, *LABELS, "miou_level_0_unseen_percent", *SUBSET, *TIMES[2:], *MEMORY),
+        (*GEOMETRY, *LABELS, "semantics.unseen.level_0.miou_percent", *SUBSET, *TIMES[2:], *MEMORY),
         {kind: office(*code(kind), "--evaluation.subset") for kind in (*CODES, "colour")},
         quality_targets,
     ),
@@ -153,11 +177,11 @@ PARTS: dict[str, Part] = {
         "tracked and mapped. Unseen views lie off the path; refined ones have their poses refined "
         "on the map.",
         (
-            "ate_rmse_cm",
+            "trajectory.ate_rmse_cm",
             *GEOMETRY,
             *LABELS,
-            "miou_unseen_refined_percent",
-            "classes_scored",
+            "semantics.unseen_refined.miou_percent",
+            "semantics.mapped.classes",
             *TIMES,
             *MEMORY,
         ),
@@ -182,7 +206,7 @@ PARTS: dict[str, Part] = {
     "ablation": Part(
         "Semantic loss, decoding and seeding",
         f"{OFFICE_TEXT} Code: one-hot.",
-        ("psnr_db", "psnr_unseen_db", *LABELS, "gaussians", *TIMES[2:]),
+        ("images.mapped.psnr_db", "images.unseen.psnr_db", *LABELS, "map.gaussians", *TIMES[2:]),
         {
             "default: intra-level loss, decoded by path": office(),
             "intra + inter, decoded by path": office(*_NETWORK),

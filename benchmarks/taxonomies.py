@@ -19,6 +19,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.baseline_trees import alphabetical_taxonomy, random_taxonomy
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
@@ -26,7 +27,6 @@ from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
 from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
 from toolkit.taxonomy_building.rules import RuleGrouper
 from toolkit.taxonomy_building.vocabulary import built_in
 

@@ -15,6 +15,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from benchmarks.baseline_trees import alphabetical_taxonomy, random_taxonomy
 from benchmarks.programs import semsplat
 from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
@@ -26,7 +27,6 @@ from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
-from toolkit.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
 
 KIN_LEVEL = 2
 

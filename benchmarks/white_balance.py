@@ -31,12 +31,12 @@ from toolkit.slam.result import SlamResult
 
 COLUMNS = (
     "psnr_clean_db",
-    "psnr_db",
-    "psnr_one_gain_db",
-    "psnr_per_channel_db",
-    "ate_rmse_cm",
+    "images.mapped.psnr_db",
+    "images.mapped.psnr_one_gain_db",
+    "images.mapped.psnr_per_channel_db",
+    "trajectory.ate_rmse_cm",
     "largest_change_percent",
-    "frames_lost",
+    "frames.lost",
     "ms_per_frame",
 )
 DESCRIPTION = """\
@@ -44,9 +44,10 @@ Runs with and without `mapping.white_balance`. The drift multiplies red by 1 + 0
 by 1 - 0.2 sin, with a period of 150 frames, in a room of 300 (`semsplat make-room`, 320x240).
 "clean" compares the map at the exposure of the first frame with the images without drift, at the
 poses of the run. The other PSNRs compare with the images that the run was given: at the gain, bias
-and white balance that the run estimated for each view (`psnr_db`), at its gain and bias only
-(`one_gain`), and after fitting one gain per channel to the view (`per_channel`). The largest change
-is that of a channel's gain between the first and any other frame. RedKitchen and fr1/rpy are
+and white balance that the run estimated for each view (`images.mapped.psnr_db`), at its gain and
+bias only (`one_gain`), and after fitting one gain per channel to the view (`per_channel`). The
+largest change is that of a channel's gain between the first and any other frame.
+RedKitchen and fr1/rpy are
 resized to 320x240."""
 _SWING, _PERIOD_FRAMES = 0.2, 150
 _MAX_VIEWS = 100

@@ -38,11 +38,8 @@ class Exposure:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Exposure:
-        """Exposure from JSON values with the names of the attributes.
-
-        Files of older versions have no balance.
-        """
-        red, green, blue = (float(value) for value in values.get("balance", NEUTRAL))
+        """Exposure from JSON values with the names of the attributes."""
+        red, green, blue = (float(value) for value in values["balance"])
         return cls(float(values["gain"]), float(values["bias"]), balance=(red, green, blue))
 
     def apply(self, image: Image) -> Image:

@@ -70,11 +70,9 @@ class FrameStamp(Protocol):
 
 
 class Recorder(Protocol):
-    """Receives run times and counts of the running system; does not influence it."""
+    """Receives run times of the running system; does not influence it."""
 
     def timed(self, stage: str) -> AbstractContextManager[None]: ...  # context of one operation
-
-    def count(self, name: str, value: float) -> None: ...
 
 
 class NullRecorder:
@@ -83,6 +81,3 @@ class NullRecorder:
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
         yield
-
-    def count(self, name: str, value: float) -> None:
-        pass

@@ -15,7 +15,6 @@ from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.geometry.free_space import free_space_margin_m
 
 # Covisibility is estimated from every n-th pixel in each direction.
 _STRIDE = 16
@@ -241,12 +240,6 @@ class Keyframe:
         """Mask [P] of the points [P, 3] inside the image, hidden or not."""
         return self._projected(self._to_camera(points_map))[0]
 
-    def measures_through(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Mask [P] of the points [P, 3] in space that this keyframe measured as empty."""
-        inside, z, depth_m = self._depths_at(points_map, self.measured_m)
-        inside[inside] = (depth_m > 0) & (z < depth_m - free_space_margin_m(depth_m))
-        return inside
-
     def in_front_of_surface(self, points_camera: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] that are not behind the measured surface.
 
@@ -257,23 +250,21 @@ class Keyframe:
         return _not_behind(points_camera[:, 2], depth_m)
 
     def _depths_at(
-        self, points_map: NDArray[np.float64], depth_m: Tensor | None = None
+        self, points_map: NDArray[np.float64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float32]]:
         """Mask [P] of the map points inside the image; their depths; the measured depths there."""
         points = self._to_camera(points_map)
         inside, uv = self._projected(points)
-        return inside, points[inside, 2], self._measured_at(uv[inside], depth_m)
+        return inside, points[inside, 2], self._measured_at(uv[inside])
 
     def _to_camera(self, points_map: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map points [P, 3] in camera coordinates."""
         return se3.transform_points(se3.inverse(self.T_map_camera), points_map)
 
-    def _measured_at(
-        self, uv: NDArray[np.float64], depth_m: Tensor | None = None
-    ) -> NDArray[np.float32]:
+    def _measured_at(self, uv: NDArray[np.float64]) -> NDArray[np.float32]:
         """Depth [P] at the pixels nearest to image points [P, 2] inside the image."""
         column, row = np.rint(uv).astype(np.intp).T
-        return (self.depth_m if depth_m is None else depth_m).numpy()[row, column]
+        return self.depth_m.numpy()[row, column]
 
     def _projected(
         self, points: NDArray[np.float64]

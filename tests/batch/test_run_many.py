@@ -23,7 +23,7 @@ def test_one_failing_sequence_does_not_stop_the_others(night, rooms):
     assert rows[1]["reason"] == f"{rooms / 'missing'} does not exist; check the path"
     assert f"failed: missing/quick/seed0: {rows[1]['reason']}" in night.done.stderr
     assert "[3/3] b/quick/seed0: finished" in night.done.stderr
-    assert float(rows[0]["frames"]) == 8
+    assert float(rows[0]["frames.total"]) == 8
     assert (night.out / "report.html").is_file() and (night.out / "compare-all.html").is_file()
 
 

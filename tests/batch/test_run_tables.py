@@ -14,6 +14,8 @@ from toolkit.batch.table import run_row, table_csv, table_markdown
 from toolkit.cli.run_many import running_text
 from toolkit.runs.settings import RunSettings
 
+GOOD = {"trajectory": {"ate_rmse_cm": 1.23456}, "images": {"mapped": {"psnr_db": None}}}
+
 
 def run(folder: Path, name: str, metrics: dict | None = None) -> PlannedRun:
     out = folder / name
@@ -26,7 +28,7 @@ def run(folder: Path, name: str, metrics: dict | None = None) -> PlannedRun:
 @pytest.fixture
 def rows(tmp_path):
     return [
-        run_row(run(tmp_path, "good", {"ate_rmse_cm": 1.23456, "psnr_db": None}), "", 2),
+        run_row(run(tmp_path, "good", GOOD), "", 2),
         run_row(run(tmp_path, "bad"), "a | b is <missing>", 1),
         run_row(run(tmp_path, "lost"), "", 1),
     ]
@@ -34,14 +36,15 @@ def rows(tmp_path):
 
 def test_the_csv_has_every_metric_and_every_reason(rows):
     good, bad, lost = csv.DictReader(table_csv(rows).splitlines())
-    assert (good["state"], good["attempts"], good["ate_rmse_cm"]) == ("finished", "2", "1.23456")
-    assert (bad["state"], bad["reason"], bad["ate_rmse_cm"]) == ("failed", "a | b is <missing>", "")
+    ate = "trajectory.ate_rmse_cm"
+    assert (good["state"], good["attempts"], good[ate]) == ("finished", "2", "1.23456")
+    assert (bad["state"], bad["reason"], bad[ate]) == ("failed", "a | b is <missing>", "")
     assert lost["state"] == "failed" and "metrics.json cannot be read" in lost["reason"]
 
 
 def test_markdown_escapes_and_leaves_out_what_no_run_has(rows):
     lines = table_markdown(rows).splitlines()
-    assert lines[0] == "| sequence | settings | seed | state | ate_rmse_cm |"
+    assert lines[0] == "| sequence | settings | seed | state | trajectory.ate_rmse_cm |"
     assert lines[2] == "| good | default | 0 | finished | 1.235 |"
     assert lines[3] == "| bad | default | 0 | a \\| b is <missing> | n/a |"
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -77,3 +78,36 @@ def rendered_dataset(gaussians: GaussianCloud, T_map_camera: np.ndarray) -> Rend
     times = np.arange(len(T_map_camera)) / 30.0
     truth = Trajectory(times, T_WORLD_MAP @ T_map_camera)
     return RenderedDataset(frames_at(gaussians, T_map_camera), truth)
+
+
+def frames_content(
+    tracked: int,
+    keyframes: Sequence[int],
+    held_out: Collection[int] = (),
+    lost: Sequence[int] = (),
+) -> dict[str, Any]:
+    """The content of frames.json of a run whose frames from 0 on were tracked at 30 per second."""
+    exposure = {"gain": 1.0, "bias": 0.0, "balance": [1.0, 1.0, 1.0]}
+    states = [{"index": i, "state": "tracked", "part": 0} for i in range(tracked)]
+    return {
+        "frames": [
+            {"index": i, "timestamp_s": i / 30.0, **exposure, "held_out": i in held_out}
+            for i in range(tracked)
+        ],
+        "states": [*states, *({"index": i, "state": "lost"} for i in lost)],
+        "lost": list(lost),
+        "keyframes": list(keyframes),
+        "parts": [
+            {
+                "number": 0,
+                "submaps": [],
+                "frames": tracked,
+                "first": 0,
+                "last": tracked - 1,
+                "loss": None,
+            }
+        ],
+        "submaps": [],
+        "camera": asdict(CAMERA),
+        "metric": True,
+    }

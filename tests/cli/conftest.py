@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
-from box_scene import CAMERA, T_WORLD_MAP, box_map, frames_at, poses
+from box_scene import CAMERA, T_WORLD_MAP, box_map, frames_at, frames_content, poses
 from labelled_run import make_labelled_run
 from room_runs import RoomRuns, make_room_runs
 
@@ -44,13 +43,12 @@ def run(tmp_path, gaussians, recording) -> Path:
     times = np.array([i / 30.0 for i in kept])
     folder.write_trajectory(Trajectory(times, poses(10, seed=1)[:9]))
     folder.write_map([(gaussians, None, None)])
-    rows = [
-        {"index": i, "timestamp_s": i / 30.0, "gain": 1.0, "bias": 0.0, "held_out": i == 4}
-        for i in kept
-    ]
-    content = {"frames": rows, "lost": [9], "keyframes": [0, 5], "camera": asdict(CAMERA)}
-    folder.write_json(folder.frames, content)
-    folder.write_json(folder.metrics, {"tracking_ms_per_frame": 12.5, "psnr_db": 1.0})
+    folder.write_json(folder.frames, frames_content(9, [0, 5], held_out=[4], lost=[9]))
+    metrics = {
+        "time": {"tracking_ms_per_frame": 12.5},
+        "images": {"mapped": {"psnr_db": 1.0}},
+    }
+    folder.write_json(folder.metrics, metrics)
     return folder.path
 
 

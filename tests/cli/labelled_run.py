@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from box_scene import CAMERA, T_WORLD_MAP, frames_at
+from box_scene import CAMERA, T_WORLD_MAP, frames_at, frames_content
 from labelled_room import T_MAP_ROOM, TAXONOMY, gaussians_at, labelled, room_parts
 
 from toolkit.datasets.options import DatasetOptions
@@ -43,9 +43,5 @@ def make_labelled_run(folder: Path) -> Path:
     run.write_trajectory(Trajectory(times, poses))
     write_splat_ply(run.map, gaussians, labels.columns())
     TAXONOMY.save(run.path / "taxonomy.yaml")
-    rows = [
-        {"index": i, "timestamp_s": t, "gain": 1.0, "bias": 0.0, "held_out": False}
-        for i, t in enumerate(times.tolist())
-    ]
-    run.write_json(run.frames, {"frames": rows, "lost": [], "keyframes": [0]})
+    run.write_json(run.frames, frames_content(len(poses), [0]))
     return run.path

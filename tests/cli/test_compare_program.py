@@ -23,8 +23,10 @@ def other_run(tiny_run, tmp_path) -> Path:
     config = other / "config.yaml"
     config.write_text(re.sub(r"(?m)^seed: 0$", "seed: 7", config.read_text()))
     metrics = json.loads((other / "metrics.json").read_text())
-    metrics |= {"psnr_db": 99.25, "ate_rmse_cm": 77.5, "miou_percent": None}
-    metrics["ssim_convention"] = "another window"
+    metrics["trajectory"]["ate_rmse_cm"] = 77.5
+    metrics["images"]["mapped"]["psnr_db"] = 99.25
+    metrics["images"]["conventions"]["ssim"] = "another window"
+    metrics["semantics"]["mapped"]["miou_percent"] = None
     (other / "metrics.json").write_text(json.dumps(metrics))
     return other
 
@@ -44,11 +46,11 @@ def row(page: str, key: str) -> list[tuple[str, str]]:
 def test_the_page_marks_what_differs(tiny_run, other_run, tmp_path):
     page = page_of(tmp_path, tiny_run, other_run)
     assert row(page, "seed") == [("differs", "0"), ("differs", "7")]
-    assert [css for css, _ in row(page, "psnr_db")] == ["worst", "best"]
-    assert [css for css, _ in row(page, "ate_rmse_cm")] == ["best", "worst"]
-    assert row(page, "miou_percent")[1] == ("differs", "n/a")
-    assert [css for css, _ in row(page, "frames_lost")] == ["", ""]
-    assert row(page, "ssim_convention")[1] == ("differs", "another window")
+    assert [css for css, _ in row(page, "images.mapped.psnr_db")] == ["worst", "best"]
+    assert [css for css, _ in row(page, "trajectory.ate_rmse_cm")] == ["best", "worst"]
+    assert row(page, "semantics.mapped.miou_percent")[1] == ("differs", "n/a")
+    assert [css for css, _ in row(page, "frames.lost")] == ["", ""]
+    assert row(page, "images.conventions.ssim")[1] == ("differs", "another window")
     assert "<td>max_frames</td>" not in page
 
 
@@ -75,17 +77,22 @@ def test_names_are_as_long_as_they_must_be():
 @pytest.mark.parametrize(
     ("key", "better"),
     [
-        ("ate_rmse_cm", "low"),
-        ("psnr_unseen_db", "high"),
-        ("mesh_f_score_1cm_percent", "high"),
-        ("mesh_completion_cm", "low"),
-        ("tracking_ms_per_frame", "low"),
-        ("ms_ssim", "high"),
-        ("accuracy_level_1_percent", "high"),
-        ("ece_percent", "low"),
-        ("ate_pairs", None),
-        ("frames", None),
-        ("psnr_convention", None),
+        ("trajectory.ate_rmse_cm", "low"),
+        ("images.unseen.psnr_db", "high"),
+        ("mesh.f_score_1cm_percent", "high"),
+        ("mesh.completion_cm", "low"),
+        ("memory.peak_mb", "low"),
+        ("depth.mapped.l1_cm", "low"),
+        ("depth.mapped.coverage_percent", None),
+        ("frames.lost", "low"),
+        ("time.tracking_ms_per_frame", "low"),
+        ("images.mapped.ms_ssim", "high"),
+        ("semantics.mapped.level_1.accuracy_percent", "high"),
+        ("semantics.mapped.ece_percent", "low"),
+        ("trajectory.ate_pairs", None),
+        ("frames.total", None),
+        ("images.mapped.views", None),
+        ("images.conventions.psnr", None),
     ],
 )
 def test_the_better_direction_follows_from_the_name(key, better):

@@ -39,20 +39,20 @@ def run(recording: Path, out: Path, *more: str) -> dict:
 def test_priors_complete_the_depth_of_keyframes(recording, tmp_path):
     named = ["--depth-prior.maps.model", "a model", "--depth-prior.maps.licence", "MIT"]
     metrics = run(recording, tmp_path / "run", *named)
-    assert 2.0 < metrics["depth_inferred_percent"] < 60.0
-    assert metrics["depth_prior_model"] == "a model"
-    assert metrics["depth_prior_licence"] == "MIT"
-    assert metrics["psnr_db"] > 20.0
+    assert 2.0 < metrics["depth_prior"]["inferred_percent"] < 60.0
+    assert metrics["depth_prior"]["model"] == "a model"
+    assert metrics["depth_prior"]["licence"] == "MIT"
+    assert metrics["images"]["mapped"]["psnr_db"] > 20.0
 
 
 def test_corrected_priors_replace_the_depth_of_keyframes(recording, tmp_path):
     words = ["--depth-prior.use", "correct"]
     metrics = run(recording, tmp_path / "run", *words)
-    assert metrics["depth_inferred_percent"] == 100.0
-    assert metrics["frames_lost"] == 0
-    assert metrics["psnr_db"] > 20.0
+    assert metrics["depth_prior"]["inferred_percent"] == 100.0
+    assert metrics["frames"]["lost"] == 0
+    assert metrics["images"]["mapped"]["psnr_db"] > 20.0
     again = run(recording, tmp_path / "again", *words)
-    assert again["psnr_db"] == metrics["psnr_db"]
+    assert again["images"]["mapped"]["psnr_db"] == metrics["images"]["mapped"]["psnr_db"]
     for name in ("trajectory.txt", "map.ply"):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from box_scene import CAMERA, poses
+from box_scene import frames_content, poses
 from labelled_room import IDS, LENGTH_M, T_MAP_ROOM, WIDTH_M
 from test_finished_run_programs import one_line_of_error
 
@@ -53,12 +52,7 @@ def dots_run(tmp_path_factory) -> Path:
     T_map_camera = poses(2, seed=3)
     folder.write_trajectory(Trajectory(np.arange(2) / 30.0, T_map_camera))
     folder.write_map([(gaussians, None, None)])
-    rows = [
-        {"index": i, "timestamp_s": i / 30.0, "gain": 1.0, "bias": 0.0, "held_out": False}
-        for i in range(2)
-    ]
-    content = {"frames": rows, "lost": [], "keyframes": [0], "camera": asdict(CAMERA)}
-    folder.write_json(folder.frames, content)
+    folder.write_json(folder.frames, frames_content(2, [0]))
     return folder.path
 
 

@@ -143,17 +143,18 @@ def test_evaluate_measures_again_and_keeps_the_times(run):
     done = semsplat("evaluate", run)
     assert done.returncode == 0, done.stderr
     metrics = json.loads((run / "metrics.json").read_text())
-    assert metrics["tracking_ms_per_frame"] == 12.5
+    assert metrics["time"]["tracking_ms_per_frame"] == 12.5
     # Eight bits a channel are worth some 59 dB.
-    assert 50.0 < metrics["psnr_db"] < 70.0
-    assert metrics["psnr_unseen_db"] > 45.0
-    assert metrics["ate_rmse_cm"] < 0.001
-    assert (metrics["frames"], metrics["frames_lost"], metrics["keyframes"]) == (10, 1, 2)
-    assert metrics["views_unseen"] == 3
+    assert 50.0 < metrics["images"]["mapped"]["psnr_db"] < 70.0
+    assert metrics["images"]["unseen"]["psnr_db"] > 45.0
+    assert metrics["trajectory"]["ate_rmse_cm"] < 0.001
+    frames = metrics["frames"]
+    assert (frames["total"], frames["lost"], frames["keyframes"]) == (10, 1, 2)
+    assert metrics["images"]["unseen"]["views"] == 3
     assert all(not isinstance(v, (dict, list)) for v in metrics.values())
 
 
 def test_evaluate_does_without_earlier_metrics(run):
     (run / "metrics.json").unlink()
     assert main(["evaluate", str(run), "--max-views", "1"]) == 0
-    assert json.loads((run / "metrics.json").read_text())["views"] == 1
+    assert json.loads((run / "metrics.json").read_text())["images"]["mapped"]["views"] == 1

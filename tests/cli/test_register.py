@@ -162,7 +162,7 @@ def without_submaps(run: Path) -> None:
     shutil.rmtree(run / "submaps")
 
 
-def of_an_older_version(run: Path) -> None:
+def without_list_of_submaps(run: Path) -> None:
     frames = json.loads((run / "frames.json").read_text())
     del frames["submaps"]
     (run / "frames.json").write_text(json.dumps(frames))
@@ -189,7 +189,7 @@ def with_a_damaged_submap(run: Path) -> None:
     ("damage", "said"),
     [
         (without_submaps, "run again"),
-        (of_an_older_version, "run again"),
+        (without_list_of_submaps, "run again"),
         (without_descriptors, "--loops.use"),
         (with_other_descriptors, "loops.features.kind dinov2"),
         (with_a_damaged_submap, "damaged"),

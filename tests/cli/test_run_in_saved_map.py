@@ -84,10 +84,11 @@ def test_other_programs_take_it(extended, tmp_path, capsys):
     assert "submap 1 started at a frame relocalised in submap 0" in printed
     assert main(["evaluate", str(extended), "--max-views", "1", "--truth-error-m", "0.02"]) == 0
     printed = capsys.readouterr().out
-    assert printed.index("loop_edges_right") < printed.index("loop_precision_percent")
+    assert printed.index("loops.edges.right") < printed.index("loops.verified.overlap.precision")
     # The edge to the loaded map has no ground truth in this dataset.
     metrics = json.loads((extended / "metrics.json").read_text())
-    assert metrics["loop_edges"] == 0 and "2 cm" in metrics["loop_edges_convention"]
+    edges = metrics["loops"]["edges"]
+    assert edges["count"] == 0 and "2 cm" in edges["convention"]
     assert main(["query", str(extended), "--list"]) == 0
 
 

@@ -32,11 +32,11 @@ def test_a_perfect_run_is_measured_as_perfect(gaussians):
     T_map_camera = poses(5, seed=1)
     dataset = rendered_dataset(gaussians, T_map_camera)
     metrics = measure_run(InMemoryScene(gaussians), tracked(T_map_camera, held_out={2}), dataset)
-    assert metrics["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-6)
-    assert metrics["ate_alignment"] == "se3"
-    assert metrics["psnr_db"] > 90.0
-    assert metrics["depth_l1_cm"] < 1e-3
-    assert (metrics["views"], metrics["views_unseen"]) == (4, 1)
+    assert metrics["trajectory"]["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-6)
+    assert metrics["trajectory"]["alignment"] == "se3"
+    assert metrics["images"]["mapped"]["psnr_db"] > 90.0
+    assert metrics["depth"]["mapped"]["l1_cm"] < 1e-3
+    assert (metrics["images"]["mapped"]["views"], metrics["images"]["unseen"]["views"]) == (4, 1)
 
 
 def test_unseen_views_come_into_the_map_by_the_alignment(gaussians):
@@ -44,8 +44,8 @@ def test_unseen_views_come_into_the_map_by_the_alignment(gaussians):
     dataset = rendered_dataset(gaussians, T_map_camera)
     unseen = rendered_dataset(gaussians, poses(2, seed=2))
     metrics = measure_run(InMemoryScene(gaussians), tracked(T_map_camera), dataset, unseen)
-    assert metrics["views_unseen"] == 2
-    assert metrics["psnr_unseen_db"] > 70.0
+    assert metrics["images"]["unseen"]["views"] == 2
+    assert metrics["images"]["unseen"]["psnr_db"] > 70.0
 
 
 def test_refining_poses_makes_up_for_a_bad_alignment(gaussians):
@@ -59,8 +59,9 @@ def test_refining_poses_makes_up_for_a_bad_alignment(gaussians):
         ]
     )
     metrics = measure_run(InMemoryScene(gaussians), tracked(shaken), dataset, unseen)
-    assert 0.5 < metrics["ate_rmse_cm"] < 10.0
-    assert metrics["psnr_unseen_refined_db"] > metrics["psnr_unseen_db"] + 3.0
+    assert 0.5 < metrics["trajectory"]["ate_rmse_cm"] < 10.0
+    images = metrics["images"]
+    assert images["unseen_refined"]["psnr_db"] > images["unseen"]["psnr_db"] + 3.0
 
 
 def test_with_given_poses_the_map_lies_in_the_world(gaussians):
@@ -70,9 +71,9 @@ def test_with_given_poses_the_map_lies_in_the_world(gaussians):
     options = MeasureOptions(alignment="none")
     metrics = measure_run(InMemoryScene(gaussians), tracked(T_map_camera), dataset, unseen, options)
     # The map lies elsewhere here, so that a silent alignment would show.
-    assert metrics["ate_alignment"] == "none"
-    assert metrics["ate_rmse_cm"] > 100.0
-    assert metrics["psnr_unseen_db"] < 30.0
+    assert metrics["trajectory"]["alignment"] == "none"
+    assert metrics["trajectory"]["ate_rmse_cm"] > 100.0
+    assert metrics["images"]["unseen"]["psnr_db"] < 30.0
 
 
 def test_exposure_is_taken_back_before_views_are_compared(gaussians):
@@ -84,9 +85,9 @@ def test_exposure_is_taken_back_before_views_are_compared(gaussians):
         InMemoryScene(gaussians), tracked(T_map_camera, exposure=Exposure(2.0)), dataset
     )
     ignored = measure_run(InMemoryScene(gaussians), tracked(T_map_camera), dataset)
-    assert as_tracked["psnr_db"] > 60.0
-    assert ignored["psnr_db"] < 20.0
-    assert as_tracked["ate_rmse_cm"] is None
+    assert as_tracked["images"]["mapped"]["psnr_db"] > 60.0
+    assert ignored["images"]["mapped"]["psnr_db"] < 20.0
+    assert as_tracked["trajectory"]["ate_rmse_cm"] is None
 
 
 def test_scores_take_white_balance_back(gaussians):
@@ -100,8 +101,9 @@ def test_scores_take_white_balance_back(gaussians):
         tracked(T_map_camera, held_out={1}, exposure=Exposure(balance=balance)),
         RenderedDataset(clipped, None),
     )
-    for suffix in ("", "_unseen", "_unseen_refined"):
-        assert metrics[f"psnr{suffix}_db"] > 45.0 > 30.0 > metrics[f"psnr{suffix}_one_gain_db"]
+    for views in ("mapped", "unseen", "unseen_refined"):
+        images = metrics["images"][views]
+        assert images["psnr_db"] > 45.0 > 30.0 > images["psnr_one_gain_db"]
 
 
 def test_long_runs_are_sampled_evenly(gaussians):
@@ -117,16 +119,16 @@ def test_long_runs_are_sampled_evenly(gaussians):
     options = MeasureOptions(max_views=3)
     metrics = measure_run(InMemoryScene(gaussians), tracked(T_map_camera), dataset, options=options)
     assert read == [0, 3, 6]
-    assert metrics["views"] == 3
-    assert "at most 3" in metrics["views_convention"]
+    assert metrics["images"]["mapped"]["views"] == 3
+    assert "at most 3" in metrics["images"]["conventions"]["mapped"]
 
 
 def test_a_run_without_any_pose_has_no_figures(gaussians):
     metrics = measure_run(
         InMemoryScene(gaussians), [], rendered_dataset(gaussians, poses(2, seed=1))
     )
-    assert metrics["psnr_db"] is None
-    assert metrics["ate_rmse_cm"] is None
+    assert metrics["images"]["mapped"]["psnr_db"] is None
+    assert metrics["trajectory"]["ate_rmse_cm"] is None
 
 
 def test_a_folder_that_happens_to_be_called_unseen_is_left_alone(tmp_path, caplog):
@@ -152,8 +154,9 @@ def test_renderings_are_bent_like_the_images_of_a_rolling_shutter(gaussians):
     dataset = rendered_dataset(gaussians, T_map_camera)
     path = tracked(T_map_camera, held_out={2})
     metrics = measure_run(InMemoryScene(gaussians), path, replace(dataset, frames=bent))
-    assert metrics["psnr_db"] > 60.0 and metrics["psnr_unseen_db"] > 60.0
-    assert metrics["psnr_unseen_refined_db"] > 30.0
+    assert metrics["images"]["mapped"]["psnr_db"] > 60.0
+    assert metrics["images"]["unseen"]["psnr_db"] > 60.0
+    assert metrics["images"]["unseen_refined"]["psnr_db"] > 30.0
     ignored = [replace(frame, readout_s=0.0) for frame in bent]
     metrics = measure_run(InMemoryScene(gaussians), path, replace(dataset, frames=ignored))
-    assert metrics["psnr_db"] < 40.0
+    assert metrics["images"]["mapped"]["psnr_db"] < 40.0

@@ -13,6 +13,7 @@ import torch
 from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.main import main
+from toolkit.evaluation.metrics import flattened
 from toolkit.io.splats import read_splats
 from toolkit.mapping import factory
 from toolkit.semantics.taxonomy import Taxonomy
@@ -64,12 +65,13 @@ def metrics_of(run: Path) -> dict:
 
 def test_a_run_knows_what_it_mapped(run):
     metrics = metrics_of(run)
-    assert metrics["miou_percent"] > 70.0  # many classes have a few pixels here
-    assert metrics["miou_unseen_percent"] > 50.0
-    assert metrics["accuracy_percent"] > 97.0
-    assert metrics["miou_level_0_percent"] >= metrics["miou_percent"]
-    assert metrics["level_0_name"] == "size"
-    assert 0.0 <= metrics["ece_percent"] < 10.0
+    labels = metrics["semantics"]
+    assert labels["mapped"]["miou_percent"] > 70.0  # many classes have a few pixels here
+    assert labels["unseen"]["miou_percent"] > 50.0
+    assert labels["mapped"]["accuracy_percent"] > 97.0
+    assert labels["mapped"]["level_0"]["miou_percent"] >= labels["mapped"]["miou_percent"]
+    assert labels["levels"]["level_0"] == "size"
+    assert 0.0 <= labels["mapped"]["ece_percent"] < 10.0
 
 
 def test_a_run_leaves_its_tree_and_labelled_splats(run):
@@ -92,30 +94,40 @@ def test_measuring_again_gives_the_same_labels(run, tmp_path):
     before = metrics_of(copy)
     assert main(["evaluate", str(copy)]) == 0
     after = metrics_of(copy)
-    for key in ("miou_percent", "miou_unseen_percent", "accuracy_percent", "ece_percent"):
-        assert after[key] == pytest.approx(before[key], abs=0.02)
+    for views, key in (
+        ("mapped", "miou_percent"),
+        ("unseen", "miou_percent"),
+        ("mapped", "accuracy_percent"),
+        ("mapped", "ece_percent"),
+    ):
+        expected = pytest.approx(before["semantics"][views][key], abs=0.02)
+        assert after["semantics"][views][key] == expected
 
 
 def test_evaluate_computes_lpips_and_the_subset_miou_on_request(run, tmp_path, capsys):
     copy = shutil.copytree(run, tmp_path / "copy")
     before = metrics_of(copy)
-    assert before["lpips"] is None
-    assert before["miou_subset_percent"] is None
+    assert before["images"]["mapped"]["lpips"] is None
+    assert before["semantics"]["mapped"]["miou_subset_percent"] is None
     weights = tmp_path / "lpips.pth"
     torch.save(random_lpips_weights(), weights)
     words = ["evaluate", str(copy), "--subset", "--lpips-weights", str(weights)]
     assert main([*words, "--max-views", "3"]) == 0
     after = metrics_of(copy)
-    assert after["lpips"] > 0.0
-    assert after["lpips_unseen"] > 0.0
-    assert after["miou_subset_percent"] > 70.0
-    assert after["miou_subset_percent"] != after["miou_visible_percent"]
+    assert after["images"]["mapped"]["lpips"] > 0.0
+    assert after["images"]["unseen"]["lpips"] > 0.0
+    labels = after["semantics"]["mapped"]
+    assert labels["miou_subset_percent"] > 70.0
+    assert labels["miou_subset_percent"] != labels["miou_visible_percent"]
     printed = dict(line.split()[:2] for line in capsys.readouterr().out.splitlines())
-    assert printed["lpips"] == f"{after['lpips']:.3f}"
-    assert printed["miou_subset_percent"] == f"{after['miou_subset_percent']:.3f}"
+    values = flattened(after)
+    for key in ("images.mapped.lpips", "semantics.mapped.miou_subset_percent"):
+        assert printed[key] == f"{values[key]:.3f}"
     # Measured again without them they are null, and not those of the other views.
     assert main(["evaluate", str(copy)]) == 0
-    assert metrics_of(copy)["lpips"] is metrics_of(copy)["miou_subset_percent"] is None
+    again = metrics_of(copy)
+    assert again["images"]["mapped"]["lpips"] is None
+    assert again["semantics"]["mapped"]["miou_subset_percent"] is None
 
 
 def test_run_computes_lpips_and_refuses_bad_weights_at_once(labelled_recording, tmp_path, capsys):
@@ -125,14 +137,15 @@ def test_run_computes_lpips_and_refuses_bad_weights_at_once(labelled_recording, 
     out = tmp_path / "run"
     assert main(arguments(labelled_recording, out, *words, "--max-frames", "2")) == 0
     first = metrics_of(out)
-    assert first["lpips"] > 0.0
-    assert first["miou_subset_percent"] > 0.0
+    assert first["images"]["mapped"]["lpips"] > 0.0
+    assert first["semantics"]["mapped"]["miou_subset_percent"] > 0.0
     # Evaluated again with the same weights by default, or without them where they are gone.
     assert main(["evaluate", str(out)]) == 0
-    assert metrics_of(out)["lpips"] == pytest.approx(first["lpips"], rel=0.01)
+    expected = pytest.approx(first["images"]["mapped"]["lpips"], rel=0.01)
+    assert metrics_of(out)["images"]["mapped"]["lpips"] == expected
     weights.unlink()
     assert main(["evaluate", str(out)]) == 0
-    assert metrics_of(out)["lpips"] is None
+    assert metrics_of(out)["images"]["mapped"]["lpips"] is None
     capsys.readouterr()
     line = one_line_of_error(capsys, *arguments(labelled_recording, tmp_path / "other", *words))
     assert str(weights) in line
@@ -167,10 +180,11 @@ def test_the_network_can_read_the_map(labelled_recording, tmp_path, monkeypatch)
     pace = ["--mapping.first-iterations", "50", "--mapping.final-iterations", "8"]
     out = tmp_path / "run"
     assert main(arguments(labelled_recording, out, *network, *fast, pace=pace)) == 0
-    copy = metrics_of(out)
-    assert copy["accuracy_percent"] > 80.0
+    accuracy_percent = metrics_of(out)["semantics"]["mapped"]["accuracy_percent"]
+    assert accuracy_percent > 80.0
     assert main(["evaluate", str(out)]) == 0
-    assert metrics_of(out)["accuracy_percent"] == pytest.approx(copy["accuracy_percent"], abs=0.1)
+    again = metrics_of(out)["semantics"]["mapped"]["accuracy_percent"]
+    assert again == pytest.approx(accuracy_percent, abs=0.1)
 
 
 # Blended colours of two classes are those of others.
@@ -178,14 +192,14 @@ def test_the_network_can_read_the_map(labelled_recording, tmp_path, monkeypatch)
 def test_every_code_works(labelled_recording, tmp_path, code, least):
     out = tmp_path / "run"
     assert main(arguments(labelled_recording, out, "--semantics.code.kind", code)) == 0
-    assert metrics_of(out)["accuracy_percent"] > least
+    assert metrics_of(out)["semantics"]["mapped"]["accuracy_percent"] > least
 
 
 def test_without_semantics_nothing_of_them_is_left(labelled_recording, tmp_path):
     out = tmp_path / "run"
     assert main(arguments(labelled_recording, out, "--semantics.code.kind", "none")) == 0
     assert not (out / "taxonomy.yaml").exists() and not (out / "semantics").exists()
-    assert "miou_percent" not in metrics_of(out)
+    assert "semantics" not in metrics_of(out)
     assert read_splats(out / "map.ply").labels is None
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from bag_writing import STORAGES, BagContent
 
-from toolkit.datasets.checks import check_dataset
+from toolkit.datasets.checks import check_recording
 from toolkit.datasets.options import BagTopics
-from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError
 
 SIZE = WIDTH, HEIGHT = 32, 24
@@ -123,7 +123,9 @@ def test_depth_of_another_camera_is_refused_with_the_remedy(tmp_path, other, mes
     if "K" in other:
         assert "aligned_depth_to_color" in str(refusal.value)
         assert len(opened(path)) == 4  # colour alone
-        assert any("not registered" in fault for fault in check_dataset("bag", path).faults)
+        assert any(
+            "not registered" in fault for fault in check_recording(describe("bag", path)).faults
+        )
 
 
 def test_depth_of_another_size_is_refused_with_the_remedy(tmp_path):

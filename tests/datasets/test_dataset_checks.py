@@ -9,12 +9,13 @@ import pytest
 
 from toolkit.cli import check_data
 from toolkit.cli.programs import CheckDataOptions
-from toolkit.datasets.checks import check_dataset
+from toolkit.datasets.checks import check_recording
+from toolkit.datasets.registry import describe
 from toolkit.io import images
 
 
 def test_valid_recording_has_no_faults(make_replica):
-    report = check_dataset("replica", make_replica(labels=True))
+    report = check_recording(describe("replica", make_replica(labels=True)))
     assert report.good, report.faults
     assert report.summary[0].startswith("room: 4 frames over 0.1 s, 32x24, f 30.0 31.0")
     assert report.summary[1].startswith("ground truth: 4 poses")
@@ -22,7 +23,7 @@ def test_valid_recording_has_no_faults(make_replica):
 
 
 def only_fault(kind: str, folder) -> str:
-    report = check_dataset(kind, folder)
+    report = check_recording(describe(kind, folder))
     assert len(report.faults) == 1, report.faults
     return report.faults[0]
 
@@ -52,7 +53,7 @@ def test_non_finite_and_non_rigid_poses(make_replica):
     rows[1] = " ".join(["nan"] * 16)
     rows[2] = " ".join(["2"] * 16)
     (folder / "traj.txt").write_text("\n".join(rows))
-    faults = check_dataset("replica", folder).faults
+    faults = check_recording(describe("replica", folder)).faults
     assert faults == (
         "1 frame(s) with a non-finite ground-truth pose: frame000001.png",
         "1 frame(s) whose ground-truth pose is not a rigid motion: frame000002.png",
@@ -68,7 +69,7 @@ def test_timestamps_out_of_order(make_tum):
 
 def test_pauses_are_noted(make_tum):
     folder = make_tum(frames=6)
-    assert not any("pause" in note for note in check_dataset("tum", folder).notes)
+    assert not any("pause" in note for note in check_recording(describe("tum", folder)).notes)
     for name in ("rgb.txt", "depth.txt"):
         lines = (folder / name).read_text().splitlines()
         head = [line for line in lines if line.startswith("#")]
@@ -77,7 +78,7 @@ def test_pauses_are_noted(make_tum):
             f"{float(time) + 7.0 * (k >= 4):.6f} {file}" for k, (time, file) in enumerate(rows)
         ]
         (folder / name).write_text("\n".join([*head, *later]) + "\n")
-    report = check_dataset("tum", folder)
+    report = check_recording(describe("tum", folder))
     (note,) = [note for note in report.notes if "pause" in note]
     assert note.startswith("1 pause(s) of up to 7.") and "frames are usually" in note
 
@@ -100,7 +101,7 @@ def test_truncated_images_are_listed_or_counted(make_replica):
     for i in range(1, 8):
         file = folder / f"results/frame{i:06d}.png"
         file.write_bytes(file.read_bytes()[:-30])
-    faults = check_dataset("replica", folder).faults
+    faults = check_recording(describe("replica", folder)).faults
     assert len(faults) == 6
     assert "frame000001.png is truncated" in faults[0]
     assert faults[5] == "2 more frame(s) cannot be read"
@@ -112,7 +113,7 @@ def test_jpeg_with_decoder_warnings(make_replica):
         png = folder / f"results/frame{i:06d}.png"
         images.write_rgb(png.with_suffix(".jpg"), images.read_rgb(png))
         png.unlink()
-    assert check_dataset("replica", folder).good
+    assert check_recording(describe("replica", folder)).good
     file = folder / "results/frame000001.jpg"
     content = bytearray(file.read_bytes())
     scan = content.rfind(b"\xff\xda")

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from toolkit.datasets.checks import check_dataset
+from toolkit.datasets.checks import check_recording
 from toolkit.datasets.depth_offset import estimate_depth_offset
-from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.resize import ImageGrid
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
@@ -129,7 +129,7 @@ def test_a_stated_offset_is_used(recording):
 
 
 def test_check_data_notes_the_offset(recording):
-    (note,) = (n for n in check_dataset("folder", recording).notes if "offset" in n)
+    (note,) = (n for n in check_recording(describe("folder", recording)).notes if "offset" in n)
     assert "--dataset.depth-offset auto" in note
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from toolkit.datasets.base import FrameFiles, RecordedDataset
-from toolkit.datasets.checks import check_dataset
+from toolkit.datasets.checks import check_recording
 from toolkit.datasets.far_values import far_value
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.io import images
@@ -66,7 +66,7 @@ def test_a_run_and_check_data_treat_it_as_missing_and_say_so(make_folder, caplog
         dataset = open_dataset("folder", folder)
     np.testing.assert_array_equal(dataset[1].depth_m, expected)
     assert caplog.text.count(note) == 1
-    report = check_dataset("folder", folder)
+    report = check_recording(describe("folder", folder))
     assert sum(note in line for line in report.notes) == 1
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from moving_room import CAMERA, MovingRoom
 
-from toolkit.datasets.checks import check_dataset
-from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.checks import check_recording
+from toolkit.datasets.registry import describe, open_dataset
 from toolkit.io import images
 
 READOUT_S = 0.02
@@ -53,7 +53,7 @@ def test_few_frames_do_not_determine_it(folder):
 
 
 def test_the_check_reports_it_and_images_that_are_copies(folder):
-    report = check_dataset("folder", folder)
+    report = check_recording(describe("folder", folder))
     assert report.good, report.faults
     (line,) = [line for line in report.summary if line.startswith("rolling shutter")]
     readout_ms = float(line.split("readout ")[1].split()[0])

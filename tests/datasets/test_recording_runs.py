@@ -95,9 +95,9 @@ def test_every_kind_runs_without_depth(recording, kind, tmp_path):
     out = tmp_path / "out"
     assert run(kind, recording, out, "--depth", "none", "--image-size", "32", "24") == 0
     metrics = json.loads((out / "metrics.json").read_text())
-    assert metrics["frames"] >= 3
-    assert metrics["monocular_reliable"] is False
-    assert "could not be determined" in metrics["monocular_doubts"]
+    assert metrics["frames"]["total"] >= 3
+    assert metrics["monocular"]["reliable"] is False
+    assert "could not be determined" in metrics["monocular"]["doubts"]
 
 
 @pytest.mark.parametrize("kind", list(get_args(DatasetKind)))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
-from toolkit.datasets.checks import check_dataset
-from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.checks import check_recording
+from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.sparse_depth import filled, sparsity
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
@@ -92,7 +92,7 @@ def sparse_recording(request, tmp_path):
 
 
 def test_a_recording_of_sparse_depth_is_tracked(sparse_recording, tmp_path):
-    notes = check_dataset("folder", sparse_recording).notes
+    notes = check_recording(describe("folder", sparse_recording)).notes
     assert any("it is interpolated between samples" in note for note in notes)
     raw = cv2.imread(str(sparse_recording / "depth/3.png"), cv2.IMREAD_UNCHANGED)
     frame = open_dataset("folder", sparse_recording)[3]
@@ -100,5 +100,5 @@ def test_a_recording_of_sparse_depth_is_tracked(sparse_recording, tmp_path):
     place = {"kind": "folder", "path": str(sparse_recording)}
     run(validated(RunSettings, {"dataset": place}), tmp_path / "run")
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert metrics["frames_lost"] == metrics["frames_doubtful"] == 0
-    assert metrics["ate_rmse_cm"] < 0.5
+    assert metrics["frames"]["lost"] == metrics["frames"]["doubtful"] == 0
+    assert metrics["trajectory"]["ate_rmse_cm"] < 0.5

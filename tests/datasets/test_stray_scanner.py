@@ -7,8 +7,8 @@ import pytest
 from film_boxes import change, turned_upright
 from test_formats import check_truth, depth_of
 
-from toolkit.datasets.checks import check_dataset
-from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.checks import check_recording
+from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, FormatError
 from toolkit.io import images
 from toolkit.io.video import VideoFile
@@ -88,7 +88,7 @@ def test_a_short_video_is_reported_by_its_frame(make_stray_scanner):
     dataset = open_dataset("stray-scanner", folder)
     with pytest.raises(DatasetError, match=r"rgb\.mp4 ends or is damaged after frame 2"):
         dataset[4]
-    report = check_dataset("stray-scanner", folder)
+    report = check_recording(describe("stray-scanner", folder))
     assert any("rgb.mp4" in fault for fault in report.faults)
 
 

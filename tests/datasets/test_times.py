@@ -5,8 +5,8 @@ import logging
 import numpy as np
 import pytest
 
-from toolkit.datasets.checks import check_dataset
-from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.checks import check_recording
+from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.times import is_impossible, unit_fault
 from toolkit.errors import DatasetError
 
@@ -46,7 +46,9 @@ def test_a_run_refuses_nanoseconds_and_check_data_reports_them(make_folder):
     write_times(folder, 1e9)
     with pytest.raises(DatasetError, match=r"look like nanoseconds: divide .* by 1e9"):
         open_dataset("folder", folder)
-    assert any("nanoseconds" in fault for fault in check_dataset("folder", folder).faults)
+    assert any(
+        "nanoseconds" in fault for fault in check_recording(describe("folder", folder)).faults
+    )
 
 
 def test_a_run_warns_of_milliseconds(make_folder, caplog):

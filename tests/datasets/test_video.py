@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from toolkit.datasets.checks import check_dataset
-from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.checks import check_recording
+from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.video import TYPICAL_FOCAL
 from toolkit.errors import DatasetError
 
@@ -105,6 +105,6 @@ def test_a_damaged_film_is_named(tmp_path):
 
 
 def test_checks_state_that_there_is_no_depth(film):
-    report = check_dataset("video", film)
+    report = check_recording(describe("video", film))
     assert "depth: none; run with --depth none" in report.summary
     assert not any("depth" in fault for fault in report.faults)

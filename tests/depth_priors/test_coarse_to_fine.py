@@ -37,7 +37,6 @@ def test_instruction_sets_agree(monkeypatch):
     for other in results[1:]:
         same = np.isclose(other.inverse_depth, results[0].inverse_depth, rtol=0.01)
         assert same.mean() > 0.98
-        assert np.abs(other.correlation - results[0].correlation).mean() < 1e-3
 
 
 def test_surfaces_nearer_than_the_range_have_no_depth():

@@ -76,9 +76,7 @@ def test_what_is_not_usable_is_unknown():
     mask, confidence = np.ones((60, 80), bool), np.full((60, 80), 2.0, np.float32)
     mask[3] = False
     confidence[4] = 0.5
-    marked = prior(
-        values, mask=mask, confidence=Confidence(confidence, "above 1 is confident", 1.0)
-    )
+    marked = prior(values, mask=mask, confidence=Confidence(confidence, 1.0))
     image = marked.in_frame(FRAME.size)
     assert not image.known[:5].any()
     assert image.known[5:].all()
@@ -91,7 +89,7 @@ def test_what_is_not_usable_is_unknown():
     ("fields", "message"),
     [
         ({"mask": np.ones((3, 3), bool)}, "mask must have shape"),
-        ({"confidence": Confidence(np.ones((2, 2), np.float32), "any")}, "confidence must"),
+        ({"confidence": Confidence(np.ones((2, 2), np.float32))}, "confidence must"),
         ({"camera": FRAME}, "camera must have the size"),
     ],
 )

@@ -36,7 +36,8 @@ def test_our_row_is_read_from_the_run_folder(
         assert variables == {"SEMSPLAT_ISA": "avx2"}
         out = Path(command[command.index("--out") + 1])
         out.mkdir()
-        metrics = {"ate_rmse_cm": 1.5, "tracking_ms_per_frame": 30.0, "total_ms_per_frame": 80.0}
+        times = {"tracking_ms_per_frame": 30.0, "total_ms_per_frame": 80.0}
+        metrics = {"trajectory": {"ate_rmse_cm": 1.5}, "time": times}
         (out / "metrics.json").write_text(json.dumps(metrics))
 
     monkeypatch.setattr(compare, "_run", run)

@@ -41,14 +41,18 @@ def full_content() -> ReportContent:
     return ReportContent(
         title="Room <1>",
         subtitle="30 frames",
-        metrics=trajectory_metrics(estimate, truth) | {"psnr_db": 31.5, "gaussians": 12345},
+        metrics={
+            "trajectory": trajectory_metrics(estimate, truth),
+            "images": {"mapped": {"psnr_db": 31.5}},
+            "map": {"gaussians": 12345},
+        },
         estimate=estimate,
         truth=truth,
         lost_at_s=(1.05, 1.15),
         views=(ReportView("frame 3", image, image, depth_m, 0 * depth_m, 33.33),),
         stage_times=(
-            StageTime("mapping", 4, 2.0, 500.0, 600.0),
-            StageTime("tracking", 9, 1.0, 1, 2),
+            StageTime("mapping", 4, 2.0, 500.0),
+            StageTime("tracking", 9, 1.0, 1),
         ),
         settings="tracking:\n  iterations: 7\n",
         warnings=("2 of 32 frames have no pose",),
@@ -82,7 +86,8 @@ def test_loops_show_the_error_of_their_pose_before_their_overlap() -> None:
     image = np.full((24, 32, 3), 0.25, np.float32)
     loops = (LoopPicture(LoopPair(8, 2, True, "12 matches"), image, image),)
     errors = [EdgeError(8, 2, 0.031, 0.5), EdgeError(9, 3, 0.2, 0.1)]
-    metrics = edge_metrics(errors) | {"loop_precision_percent": 62.5, "loop_recall_percent": None}
+    by_overlap = {"precision_percent": 62.5, "recall_percent": None}
+    metrics = {"loops": {"edges": edge_metrics(errors), "verified": {"overlap": by_overlap}}}
     page = render_report(replace(full_content(), metrics=metrics, loops=loops))
     pose, overlap = "1 of 2 accepted edges are right by pose", "precision 62.5 %"
     assert page.index(pose) < page.index(overlap)
@@ -146,7 +151,7 @@ def test_the_strip_covers_the_sequence_and_escapes_reasons() -> None:
 
 def test_a_run_without_truth_poses_or_figures_still_has_a_page() -> None:
     nothing = Trajectory(np.empty(0), np.empty((0, 4, 4)))
-    page = render_report(ReportContent("Empty", "", {"ate_rmse_cm": None}, nothing))
+    page = render_report(ReportContent("Empty", "", {"trajectory": {"ate_rmse_cm": None}}, nothing))
     assert "No frame has a pose" in page
     assert "<svg" not in page
     assert "n/a" in page

@@ -5,9 +5,9 @@ from __future__ import annotations
 from toolkit.evaluation.frame_states import (
     FrameState,
     PartSummary,
+    frame_metrics,
     part_lines,
     ranges,
-    state_metrics,
     summary_lines,
 )
 from toolkit.slam.result import Loss
@@ -83,9 +83,10 @@ def test_many_parts_are_counted_and_an_unreached_map_is_named():
 
 def test_metrics_count_frames_by_state_and_part():
     parts = [PartSummary(0, (0,), 5), PartSummary(1, (1,), 2)]
-    assert state_metrics(sequence("tdlx11d"), parts) == {
-        "frames_doubtful": 2,
-        "frames_lost": 1,
-        "parts": 2,
-        "frames_in_other_parts": 2,
+    assert frame_metrics(sequence("tdlx11d"), parts, keyframes=1) == {
+        "total": 7,
+        "keyframes": 1,
+        "doubtful": 2,
+        "lost": 1,
+        "in_other_parts": 2,
     }

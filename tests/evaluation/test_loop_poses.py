@@ -88,14 +88,14 @@ def test_metrics():
     T = turning_there_and_back()
     found = errors([edge(T, 3, q, (0.01 * q, 0, 0, 0, 0, 0)) for q in (1, 2, 9)])
     metrics = edge_metrics(found)
-    assert metrics["loop_edges"] == 3 and metrics["loop_edges_right"] == 2
-    assert metrics["loop_edges_right_percent"] == pytest.approx(200 / 3)
-    assert metrics["loop_edge_error_median_cm"] == pytest.approx(2.0)
-    assert metrics["loop_edge_error_max_cm"] == pytest.approx(9.0)
-    assert metrics["loop_edge_error_max_deg"] == pytest.approx(0.0, abs=1e-5)
+    assert metrics["count"] == 3 and metrics["right"] == 2
+    assert metrics["right_percent"] == pytest.approx(200 / 3)
+    assert metrics["error_median_cm"] == pytest.approx(2.0)
+    assert metrics["error_max_cm"] == pytest.approx(9.0)
+    assert metrics["error_max_deg"] == pytest.approx(0.0, abs=1e-5)
 
 
 def test_no_edges_have_no_errors():
     metrics = edge_metrics([])
-    assert metrics["loop_edges"] == 0 and metrics["loop_edges_right_percent"] is None
-    assert metrics["loop_edge_error_max_cm"] is None
+    assert metrics["count"] == 0 and metrics["right_percent"] is None
+    assert metrics["error_max_cm"] is None

@@ -11,6 +11,8 @@ import pytest
 from toolkit.evaluation.loops import (
     LoopTruthOptions,
     TrueViews,
+    loop_convention,
+    loop_definitions,
     loop_metrics,
     score_loops,
     true_intervals,
@@ -104,7 +106,7 @@ def test_figures_count_searched_keyframes_only():
     searched = [20, 120, 140, 160, 180]
     accepted = [(120, 20), (120, 70), (140, 41), (180, 10)]
     score = score_loops(circling(), searched, accepted, OPTIONS)
-    assert (score.accepted, score.correct, score.searched) == (4, 2, 5)
+    assert (score.accepted, score.correct) == (4, 2)
     assert (score.with_loop, score.found) == (4, 2)
     assert score.precision == 0.5
     assert score.recall == 0.5
@@ -141,17 +143,19 @@ def test_frames_without_a_true_pose_take_no_part():
 
 def test_metrics_are_percent_and_name_their_convention():
     metrics = loop_metrics(circling(math.pi), [140, 160], [(140, 40)], OPTIONS)
-    assert metrics["loop_precision_percent"] == 0.0
-    assert metrics["loop_recall_percent"] is None
-    assert metrics["loop_precision_position_percent"] == 100.0
-    assert metrics["loop_recall_position_percent"] == 50.0
+    assert metrics["overlap"]["precision_percent"] == 0.0
+    assert metrics["overlap"]["recall_percent"] is None
+    assert metrics["position"]["precision_percent"] == 100.0
+    assert metrics["position"]["recall_percent"] == 50.0
     # In ten frames this camera moves farther than half a metre.
-    assert metrics["loop_precision_intervals_position_percent"] == 0.0
-    assert metrics["loop_recall_intervals_position_percent"] is None
-    assert metrics["loop_f1_position_percent"] == pytest.approx(200 / 3)
-    assert "30 %" in metrics["loop_convention"] and "%" not in metrics["loop_convention_position"]
-    assert "30 frames, 1 m of path" in metrics["loop_convention"]
-    assert (metrics["loops_searched"], metrics["loops_accepted"]) == (2, 1)
+    assert metrics["intervals_position"]["precision_percent"] == 0.0
+    assert metrics["intervals_position"]["recall_percent"] is None
+    assert metrics["position"]["f1_percent"] == pytest.approx(200 / 3)
+    assert metrics["accepted"] == 1
+    definitions = loop_definitions(OPTIONS)
+    overlap, position = (loop_convention(definitions[name]) for name in ("overlap", "position"))
+    assert "30 %" in overlap and "%" not in position
+    assert "30 frames, 1 m of path" in overlap
 
 
 def test_frames_outside_the_sequence_are_refused():

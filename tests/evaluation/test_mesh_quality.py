@@ -46,33 +46,31 @@ def compared(tmp_path: Path, estimate: TriangleMesh, truth: TriangleMesh, views=
 
 def test_a_shifted_plane_has_its_shift_as_error(tmp_path):
     metrics = compared(tmp_path, plane(2.015), plane(2.0))
-    assert metrics["mesh_accuracy_cm"] == pytest.approx(1.5, abs=1e-3)
-    assert metrics["mesh_completion_cm"] == pytest.approx(1.5, abs=1e-3)
-    assert metrics["mesh_f_score_1cm_percent"] == 0.0
-    assert metrics["mesh_f_score_2cm_percent"] == 100.0
-    assert metrics["mesh_normal_consistency"] == pytest.approx(1.0)
-    assert metrics["mesh_observed_percent"] == 100.0
+    assert metrics["accuracy_cm"] == pytest.approx(1.5, abs=1e-3)
+    assert metrics["completion_cm"] == pytest.approx(1.5, abs=1e-3)
+    assert metrics["f_score_1cm_percent"] == 0.0
+    assert metrics["f_score_2cm_percent"] == 100.0
+    assert metrics["normal_consistency"] == pytest.approx(1.0)
+    assert metrics["observed_percent"] == 100.0
 
 
 def test_a_missing_half_costs_completion_but_not_accuracy(tmp_path):
     metrics = compared(tmp_path, plane(2.0, width=0.5), plane(2.0))
-    assert metrics["mesh_accuracy_cm"] == pytest.approx(0.0, abs=1e-4)
+    assert metrics["accuracy_cm"] == pytest.approx(0.0, abs=1e-4)
     # Half is there, and 5 cm beside it count as well.
-    assert metrics["mesh_completion_ratio_percent"] == pytest.approx(55.0, abs=1.0)
+    assert metrics["completion_ratio_percent"] == pytest.approx(55.0, abs=1.0)
     recall = 0.51
-    assert metrics["mesh_f_score_1cm_percent"] == pytest.approx(
-        100 * 2 * recall / (1 + recall), abs=1.0
-    )
+    assert metrics["f_score_1cm_percent"] == pytest.approx(100 * 2 * recall / (1 + recall), abs=1.0)
 
 
 def test_hidden_surfaces_and_those_outside_of_all_views_do_not_count(tmp_path):
     hidden = both(plane(2.0), plane(2.5))
     metrics = compared(tmp_path, plane(2.0), hidden)
-    assert metrics["mesh_completion_ratio_percent"] == 100.0
-    assert metrics["mesh_observed_percent"] == pytest.approx(50.0, abs=1.0)
+    assert metrics["completion_ratio_percent"] == 100.0
+    assert metrics["observed_percent"] == pytest.approx(50.0, abs=1.0)
     behind = both(plane(2.0), plane(-2.0))
     metrics = compared(tmp_path, plane(2.0), behind)
-    assert metrics["mesh_completion_ratio_percent"] == 100.0
+    assert metrics["completion_ratio_percent"] == 100.0
 
 
 def test_the_mesh_is_compared_in_the_world_of_the_truth(tmp_path):
@@ -85,8 +83,8 @@ def test_the_mesh_is_compared_in_the_world_of_the_truth(tmp_path):
     )
     half = TriangleMesh(true.vertices_m / 2, true.colours, true.triangles)
     metrics = compared(tmp_path, half, moved, T=T_world_map, scale=2.0)
-    assert metrics["mesh_accuracy_cm"] == pytest.approx(0.0, abs=1e-3)
-    assert metrics["mesh_observed_percent"] == 100.0
+    assert metrics["accuracy_cm"] == pytest.approx(0.0, abs=1e-3)
+    assert metrics["observed_percent"] == 100.0
 
 
 def test_crossed_planes_disagree_in_their_normals(tmp_path):
@@ -95,7 +93,7 @@ def test_crossed_planes_disagree_in_their_normals(tmp_path):
     R = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
     points = (tilted.vertices_m @ R.T + [0, 0, 2.0]).astype(np.float32)
     tilted = TriangleMesh(points, tilted.colours, tilted.triangles)
-    assert compared(tmp_path, tilted, plane(2.0))["mesh_normal_consistency"] == pytest.approx(0.5)
+    assert compared(tmp_path, tilted, plane(2.0))["normal_consistency"] == pytest.approx(0.5)
 
 
 def test_a_file_without_triangles_is_reported(tmp_path):

@@ -53,20 +53,21 @@ def test_verified_and_suspected_loops_are_counted_separately():
         found(8, 2, accepted=False),
     ]
     metrics = run_loop_metrics(records, There(), GAP)
-    assert metrics["loop_precision_percent"] == 100.0
-    assert metrics["loop_recall_percent"] == pytest.approx(50.0)
-    assert metrics["loop_recall_suspected_percent"] == pytest.approx(100.0)
-    assert metrics["loops_searched"] == 3
+    assert metrics["verified"]["overlap"]["precision_percent"] == 100.0
+    assert metrics["verified"]["overlap"]["recall_percent"] == pytest.approx(50.0)
+    assert metrics["suspected"]["overlap"]["recall_percent"] == pytest.approx(100.0)
+    assert metrics["searched"] == 3
 
 
 def test_a_loop_within_the_gap_is_none():
     metrics = run_loop_metrics([*SEARCHES, found(8, 7)], There(), GAP)
-    assert metrics["loop_precision_percent"] == 0.0
+    assert metrics["verified"]["overlap"]["precision_percent"] == 0.0
 
 
 def test_the_same_things_seen_from_elsewhere_are_no_claim():
     metrics = run_loop_metrics([*SEARCHES, found(10, 4, apart_m=0.8)], There(), GAP)
-    assert metrics["loops_accepted"] == 0 and metrics["loop_precision_percent"] is None
+    verified = metrics["verified"]
+    assert verified["accepted"] == 0 and verified["overlap"]["precision_percent"] is None
 
 
 @pytest.mark.parametrize("kind", ["consistency", "retracted"])
@@ -75,13 +76,14 @@ def test_a_pair_whose_edge_was_taken_back_is_no_claim(kind):
     taken_back = {"kind": kind, "accepted": False, "reason": "contradicts"} | edges[0]
     records = [*SEARCHES, found(8, 2) | edges[0], found(10, 4) | edges[1], taken_back]
     metrics = run_loop_metrics(records, There(), GAP)
-    assert metrics["loops_accepted"] == 1 and metrics["loop_recall_percent"] == pytest.approx(50.0)
+    assert metrics["verified"]["accepted"] == 1
+    assert metrics["verified"]["overlap"]["recall_percent"] == pytest.approx(50.0)
 
 
 def test_a_pair_of_one_submap_that_the_odometry_rules_out_is_no_claim():
     refused = {"kind": "consistency", "match": 2, "query": 8, "accepted": False, "reason": "far"}
     records = [*SEARCHES, found(8, 2, "within"), found(10, 4, "within"), refused]
-    assert run_loop_metrics(records, There(), GAP)["loops_accepted"] == 1
+    assert run_loop_metrics(records, There(), GAP)["verified"]["accepted"] == 1
 
 
 def test_nothing_is_said_without_searches_or_truth():
@@ -98,16 +100,16 @@ def posed(query, match, error_m, **values):
 def test_the_pose_of_an_edge_is_compared_with_the_truth():
     records = [*SEARCHES, posed(8, 2, 0.01), posed(10, 4, 0.06), posed(9, 3, 0.5, accepted=False)]
     metrics = run_loop_metrics(records, There(), GAP)
-    assert metrics["loop_edges"] == 2 and metrics["loop_edges_right"] == 1
-    assert metrics["loop_edge_error_max_cm"] == pytest.approx(6.0)
+    assert metrics["edges"]["count"] == 2 and metrics["edges"]["right"] == 1
+    assert metrics["edges"]["error_max_cm"] == pytest.approx(6.0)
     own = TruthErrorOptions(truth_error_m=0.02)
-    assert run_loop_metrics(records, There(), GAP, own)["loop_edges_right"] == 2
+    assert run_loop_metrics(records, There(), GAP, own)["edges"]["right"] == 2
 
 
 def test_a_relocalisation_that_connects_a_submap_is_an_edge():
     edge = {"kind": "found", "first": 0, "second": 1}
     record = posed(8, 2, 0.03) | edge
     del record["accepted"]
-    assert run_loop_metrics([*SEARCHES, record], There(), GAP)["loop_edges"] == 1
+    assert run_loop_metrics([*SEARCHES, record], There(), GAP)["edges"]["count"] == 1
     removed = edge | {"kind": "retracted", "accepted": False, "reason": "contradicts"}
-    assert run_loop_metrics([*SEARCHES, record, removed], There(), GAP)["loop_edges"] == 0
+    assert run_loop_metrics([*SEARCHES, record, removed], There(), GAP)["edges"]["count"] == 0

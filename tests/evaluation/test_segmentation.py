@@ -13,7 +13,6 @@ from toolkit.evaluation.segmentation import (
     class_iou,
     confusion,
     score,
-    segmentation_conventions,
     segmentation_metrics,
     visible_classes,
 )
@@ -85,9 +84,9 @@ def test_a_level_is_scored_as_its_groups_are(seed, level):
     appears = np.setdiff1d(np.union1d(truth[kept], predicted[kept]), [-1])
     metrics = segmentation_metrics(evaluated(pairs))
     expected = jaccard_score(truth[kept], predicted[kept], labels=appears, average="macro")
-    assert metrics[f"miou_level_{level}_percent"] == pytest.approx(100.0 * expected)
+    assert metrics[f"level_{level}"]["miou_percent"] == pytest.approx(100.0 * expected)
     right = (truth == predicted)[kept].mean()
-    assert metrics[f"accuracy_level_{level}_percent"] == pytest.approx(100.0 * right)
+    assert metrics[f"level_{level}"]["accuracy_percent"] == pytest.approx(100.0 * right)
 
 
 def test_figures_per_class_are_those_of_torchmetrics():
@@ -115,8 +114,8 @@ def test_means_over_views_differ_from_those_over_the_sequence():
     assert metrics["miou_union_percent"] == pytest.approx(100.0 * (16 / 20 + 0.0) / 2)
     assert metrics["miou_per_view_percent"] == pytest.approx(100.0 * (1.0 + 0.0) / 2)
     # Both are soft and large.
-    assert metrics["miou_level_1_percent"] == 100.0
-    assert metrics["miou_per_view_level_0_percent"] == 100.0
+    assert metrics["level_1"]["miou_percent"] == 100.0
+    assert metrics["level_0"]["miou_per_view_percent"] == 100.0
 
 
 def test_a_wrong_class_hurts_the_mean_but_not_the_mean_over_visible_classes():
@@ -150,27 +149,21 @@ def test_predicted_levels_may_disagree_and_back_off():
     unsure = Segmentation(TREE)
     unsure.add(truth, nodes)
     metrics = segmentation_metrics(unsure)
-    assert metrics["miou_level_0_percent"] == 100.0
-    assert metrics["miou_level_1_percent"] == pytest.approx(100.0 * (1 + 0) / 2)
-    assert metrics["miou_level_2_percent"] == pytest.approx(100.0 * (0 + 1) / 2)
+    assert metrics["level_0"]["miou_percent"] == 100.0
+    assert metrics["level_1"]["miou_percent"] == pytest.approx(100.0 * (1 + 0) / 2)
+    assert metrics["level_2"]["miou_percent"] == pytest.approx(100.0 * (0 + 1) / 2)
 
 
 def test_what_does_not_exist_is_none():
-    metrics = segmentation_metrics(Segmentation(TREE), "_unseen")
-    assert metrics["miou_unseen_percent"] is None
-    assert metrics["miou_level_0_unseen_percent"] is None
-    assert metrics["views_labelled_unseen"] == 0
+    metrics = segmentation_metrics(Segmentation(TREE))
+    assert metrics["miou_percent"] is None
+    assert metrics["level_0"]["miou_percent"] is None
+    assert metrics["views"] == 0
     only_void = evaluated([(np.zeros((2, 2), int), np.ones((2, 2), int))])
     assert segmentation_metrics(only_void)["miou_percent"] is None
     assert segmentation_metrics(only_void)["miou_per_view_percent"] is None
     assert segmentation_metrics(only_void)["miou_with_void_percent"] == 0.0
     assert score(only_void.counts()).classes == 0
-
-
-def test_figures_of_two_groups_of_views_have_names_of_their_own():
-    result = evaluated(images(1))
-    assert not set(segmentation_metrics(result)) & set(segmentation_metrics(result, "_unseen"))
-    assert segmentation_conventions(TREE)["level_1_name"] == "kind"
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ def test_errors_at_pixels_without_depth_lower_their_psnr_alone():
     depth_m[:12] = 0.0
     rendered = observed + np.float32(0.01)
     rendered[:12] += np.float32(0.09)
-    found = image_metrics([view_quality(0, (rendered, depth_m), (observed, depth_m))])
+    found = image_metrics([view_quality((rendered, depth_m), (observed, depth_m))])
     assert found["psnr_measured_db"] == pytest.approx(40.0, abs=0.01)
     assert found["psnr_inferred_db"] == pytest.approx(20.0, abs=0.01)
     assert found["psnr_db"] == pytest.approx(-10 * np.log10(0.5 * (1e-4 + 1e-2)), abs=0.01)
@@ -29,7 +29,7 @@ def test_no_pixel_has_no_psnr():
     observed = view()
     assert masked_psnr_db(observed, observed, np.zeros((24, 32), bool)) is None
     depth_m = np.ones((24, 32), np.float32)
-    found = image_metrics([view_quality(0, (observed, depth_m), (observed, depth_m))])
+    found = image_metrics([view_quality((observed, depth_m), (observed, depth_m))])
     assert found["psnr_inferred_db"] is None and found["psnr_measured_db"] == 100.0
 
 

@@ -39,30 +39,30 @@ def figures(gaussians, wall, T=None):
 
 
 def test_a_single_wall_is_thin(wall):
-    assert figures(cloud([0.0]), wall)["wall_thickness_cm"] < 0.01
+    assert figures(cloud([0.0]), wall)["thickness_cm"] < 0.01
 
 
 def test_a_shift_is_no_thickness(wall):
-    assert figures(cloud([0.03]), wall)["wall_thickness_cm"] < 0.01
+    assert figures(cloud([0.03]), wall)["thickness_cm"] < 0.01
 
 
 def test_a_duplicated_wall_is_as_thick_as_its_copies_are_apart(wall):
     found = figures(cloud([0.0, 0.04]), wall)
-    assert found["wall_thickness_cm"] == pytest.approx(4.0, abs=0.1)
-    assert found["wall_thickness_p95_cm"] == pytest.approx(4.0, abs=0.1)
+    assert found["thickness_cm"] == pytest.approx(4.0, abs=0.1)
+    assert found["thickness_p95_cm"] == pytest.approx(4.0, abs=0.1)
 
 
 def test_the_map_is_carried_into_the_world_first(wall):
     T_world_map = se3.exp(np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3]))
     moved = cloud([0.0, 0.04]).transformed(se3.inverse(T_world_map))
-    assert figures(moved, wall, T_world_map)["wall_thickness_cm"] == pytest.approx(4.0, abs=0.1)
+    assert figures(moved, wall, T_world_map)["thickness_cm"] == pytest.approx(4.0, abs=0.1)
 
 
 def test_haze_and_floaters_are_no_wall(wall):
     haze = cloud([0.1], count=2000, opacity=0.2)
     floaters = cloud([0.8], count=1500, seed=1)
     found = figures(GaussianCloud.concatenate([cloud([0.0]), haze, floaters]), wall)
-    assert found["wall_thickness_cm"] < 0.01
+    assert found["thickness_cm"] < 0.01
     assert found["floaters_percent"] == pytest.approx(20.0, abs=0.1)
 
 
@@ -75,12 +75,12 @@ def test_a_triangle_without_area_spoils_nothing(tmp_path):
     path = tmp_path / "mesh.ply"
     write_mesh(path, TriangleMesh(corners, np.zeros((7, 3), np.float32), triangles))
     found = figures(cloud([0.0, 0.04]), path)
-    assert found["wall_thickness_p95_cm"] == pytest.approx(4.0, abs=0.1)
+    assert found["thickness_p95_cm"] == pytest.approx(4.0, abs=0.1)
     assert found["floaters_percent"] == 0.0
 
 
 def test_too_few_say_nothing(wall):
-    assert figures(cloud([0.0], count=20), wall)["wall_thickness_cm"] is None
+    assert figures(cloud([0.0], count=20), wall)["thickness_cm"] is None
 
 
 def test_a_mesh_that_is_none_is_named(tmp_path):

@@ -85,9 +85,10 @@ def test_frames_of_a_camera_make_a_map_and_can_be_run_again(tmp_path: Path):
     frames = [f"frame {i}" for i in range(4)]
     assert follower.calls == ["started scripted", *frames, "finished", "close"]
     metrics = read_json(out / "metrics.json")
-    assert metrics["camera"] == "scripted"
-    assert (metrics["frames_captured"], metrics["frames_dropped"]) == (4, 0)
-    assert metrics["delay_max_ms"] >= metrics["delay_p95_ms"] >= metrics["delay_median_ms"] > 0
+    assert metrics["live"]["camera"] == "scripted"
+    assert (metrics["live"]["frames_captured"], metrics["live"]["frames_dropped"]) == (4, 0)
+    live = metrics["live"]
+    assert live["delay_max_ms"] >= live["delay_p95_ms"] >= live["delay_median_ms"] > 0
     assert (out / "report.html").is_file() and (out / "map.ply").is_file()
     # The run folder names the saved frames as its dataset.
     assert main(["evaluate", str(out)]) == 0
@@ -132,7 +133,7 @@ def test_frames_of_a_camera_are_removed_unless_they_are_wanted(tmp_path: Path):
     camera, follower = one_by_one()
     run_live(SETTINGS, LiveOptions(), camera, tmp_path / "run", LiveHooks(observers=[follower]))
     assert not (tmp_path / "run" / "recording").exists()
-    assert read_json(tmp_path / "run" / "metrics.json")["psnr_db"] > 10
+    assert read_json(tmp_path / "run" / "metrics.json")["images"]["mapped"]["psnr_db"] > 10
 
 
 def test_a_camera_that_is_unplugged_leaves_a_finished_map_and_an_error(tmp_path: Path):
@@ -175,8 +176,9 @@ def test_dropped_frames_of_a_replay_are_counted_and_scored(tiny_recording: Path,
     words = replay(tiny_recording, "--fps", "1000", "--out", str(out))
     assert main(["live", *words]) == 0
     metrics, frames = read_json(out / "metrics.json"), read_json(out / "frames.json")
-    assert metrics["frames_dropped"] == len(frames["dropped"]) > 0
-    assert metrics["frames"] == metrics["frames_captured"] == metrics["ate_pairs"] == 6
+    assert metrics["live"]["frames_dropped"] == len(frames["dropped"]) > 0
+    assert metrics["frames"]["total"] == metrics["live"]["frames_captured"] == 6
+    assert metrics["trajectory"]["ate_pairs"] == 6
     run = load_run(out)
     assert [frame.index for frame in run.tracked] == list(range(6))
     first = frames["dropped"][0]
@@ -192,10 +194,10 @@ def test_a_paced_replay_has_the_metrics_of_both(tiny_recording: Path, tmp_path: 
     out = tmp_path / "run"
     assert main(["live", *replay(tiny_recording, "--pace", "50", "--out", str(out))]) == 0
     metrics = read_json(out / "metrics.json")
-    assert metrics["pace_fps"] == 50
-    assert metrics["frames_captured"] == 6
-    assert metrics["mapping_steps_due"] >= metrics["mapping_steps_skipped"]
-    assert metrics["frames_dropped"] == len(read_json(out / "frames.json")["dropped"])
+    assert metrics["pace"]["fps"] == 50
+    assert metrics["live"]["frames_captured"] == 6
+    assert metrics["pace"]["mapping_steps_due"] >= metrics["pace"]["mapping_steps_skipped"]
+    assert metrics["live"]["frames_dropped"] == len(read_json(out / "frames.json")["dropped"])
 
 
 def test_ctrl_c_finishes_the_map(tiny_recording: Path, tmp_path: Path):
@@ -214,7 +216,7 @@ def test_ctrl_c_finishes_the_map(tiny_recording: Path, tmp_path: Path):
     assert program.returncode == 0, errors
     assert "press Ctrl-C again" in errors
     assert len(load_run(out).tracked) == 1
-    assert read_json(out / "metrics.json")["frames"] == 1
+    assert read_json(out / "metrics.json")["frames"]["total"] == 1
 
 
 def test_the_second_ctrl_c_interrupts():

@@ -49,7 +49,8 @@ def test_resumed_log_equals_uninterrupted_log(tmp_path):
     log.write({"query": "of a run that was killed"})
     with resumed.open("ab") as stream:
         stream.write(b'{"query": 4, "dist')
-    log = LoopLog(resumed, keep_bytes=checkpoint)
+    log = LoopLog(resumed)
+    log.truncate(checkpoint)
     for line in lines[3:]:
         log.write(line)
     assert resumed.read_bytes() == whole.read_bytes()
@@ -66,10 +67,11 @@ def test_incomplete_last_line_is_skipped(tmp_path, caplog):
 
 def test_file_shorter_than_checkpoint_raises(tmp_path):
     path = tmp_path / "loops.jsonl"
-    LoopLog(path).write({"query": 1})
+    log = LoopLog(path)
+    log.write({"query": 1})
     before = path.read_bytes()
     with pytest.raises(RunFolderError, match="checkpoint expects 999"):
-        LoopLog(path, keep_bytes=999)
+        log.truncate(999)
     assert path.read_bytes() == before
 
 

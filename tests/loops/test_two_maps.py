@@ -101,9 +101,3 @@ def test_failed_registration_reports_its_reason():
     maps = {0: submap(0, unit(0))}
     found = register_submaps(SubmapPair(0, 0, 0.1), maps, maps, Nothing())
     assert found.reason == "nothing in common"
-
-
-def test_the_maximum_difference_is_inclusive():
-    found = [registration(1.0), registration(1.0)]
-    selection = select_registration(found, max_m=0.0, max_rad=0.0)
-    assert selection.agreeing == 2

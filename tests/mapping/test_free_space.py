@@ -162,9 +162,9 @@ def test_opacity_in_empty_space_is_measured_by_majority_and_by_any_frame():
     )
     views = [DepthView.of(wall(2.0)), DepthView.of(wall(1.5)), DepthView.of(wall(1.5))]
     found = free_space_metrics(InMemoryScene(cloud), views)
-    assert found["free_space_opacity_percent"] == pytest.approx(30.0)
-    assert found["free_space_opacity_any_percent"] == pytest.approx(50.0)
-    assert free_space_metrics(InMemoryScene(cloud), [])["free_space_opacity_percent"] is None
+    assert found["opacity_percent"] == pytest.approx(30.0)
+    assert found["opacity_any_percent"] == pytest.approx(50.0)
+    assert free_space_metrics(InMemoryScene(cloud), [])["opacity_percent"] is None
 
 
 @pytest.mark.parametrize("whole_map", [True, False])

@@ -109,7 +109,7 @@ def test_points_that_another_keyframe_measured_through_are_moved_away(room: Mapp
     rows, columns = np.mgrid[HOLE]
     rays = keyframes[0].camera.rays()[rows.ravel(), columns.ravel()]
     points = rays * inferred_m
-    through = keyframes[1].measures_through(points)
+    through = DepthView.of(keyframes[1]).measures_through(torch.from_numpy(points).float()).numpy()
     np.testing.assert_array_equal(through, truth - np.maximum(0.05, 0.03 * truth) > inferred_m)
     assert through.any()
     mapper.add_keyframe(keyframes[0])

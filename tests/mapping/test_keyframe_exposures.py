@@ -126,13 +126,6 @@ def test_a_checkpoint_contains_it():
     np.testing.assert_array_equal(restored.balance_links, view.balance_links)
 
 
-def test_checkpoints_of_older_versions_are_neutral():
-    view = keyframes(drift(0.0))[0]
-    values = view.values()
-    del values["balance"]
-    assert Keyframe.from_state(view.arrays(), values).exposure == view.exposure
-
-
 def test_exposures_are_undone_composed_and_inverted():
     rng = np.random.default_rng(0)
     image = rng.uniform(0.2, 0.6, (4, 5, 3)).astype(np.float32)

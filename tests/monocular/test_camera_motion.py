@@ -28,10 +28,10 @@ def test_a_walk_is_reliable(walked):
     assert len(motion.trajectory) == len(walked)
     assert error_m(motion.trajectory, walk())[0] < 0.02
     metrics = motion.metrics()
-    assert metrics["monocular_reliable"] is True
-    assert metrics["monocular_doubts"] == ""
-    assert metrics["monocular_keyframes"] == len(motion.views) > 3
-    assert metrics["monocular_focal_px"] is None
+    assert metrics["reliable"] is True
+    assert metrics["doubts"] == ""
+    assert metrics["keyframes"] == len(motion.views) > 3
+    assert metrics["focal_px"] is None
 
 
 def test_true_depth_is_not_used(walked):
@@ -49,8 +49,8 @@ def test_a_camera_that_only_turns_is_not_reliable():
     assert not motion.views
     assert len(motion.trajectory) == 0
     metrics = motion.metrics()
-    assert metrics["monocular_reliable"] is False
-    assert metrics["monocular_extent"] is None
+    assert metrics["reliable"] is False
+    assert metrics["extent"] is None
 
 
 def test_a_frozen_film_is_not_reliable(walked):
@@ -88,7 +88,7 @@ def test_an_unknown_focal_length_is_estimated(factor):
     motion = estimate_motion(frames, wrong, calibrated=False)
     assert motion.camera.fx == pytest.approx(true.fx, rel=0.03)
     assert motion.focal_sigma == pytest.approx(0.01, rel=0.5)
-    assert motion.metrics()["monocular_focal_px"] == motion.camera.fx
+    assert motion.metrics()["focal_px"] == motion.camera.fx
 
 
 def test_a_prior_focal_length_is_kept_where_it_is_not_observable(walked):

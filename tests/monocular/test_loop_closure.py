@@ -71,7 +71,6 @@ def test_drift_in_scale_is_corrected(followed, images):
     assert loops.revisits > 5
     # Bundle adjustment has changed the unit of length, too.
     assert loops.rejected == 0
-    assert loops.max_shift > 0.02
     # The argument is unchanged.
     assert rms_m(drifting) == before
 

@@ -116,9 +116,9 @@ def test_markers_in_images_give_metres():
     np.testing.assert_allclose(motion.trajectory.positions_m, [T[:3, 3] for T in VIEWS], atol=0.005)
     assert motion.views[2].far == pytest.approx(2.0, rel=0.02)
     metrics = motion.metrics()
-    assert metrics["monocular_metric_scale"] == motion.metric_scale.factor
-    assert 0 < metrics["monocular_metric_scale_sigma_percent"] < 5
-    assert "the metre, by the side of 1 marker(s)" in metrics["monocular_convention"]
+    assert metrics["metric_scale"] == motion.metric_scale.factor
+    assert 0 < metrics["metric_scale_sigma_percent"] < 5
+    assert "the metre, by the side of 1 marker(s)" in metrics["convention"]
 
 
 def test_images_without_markers_leave_the_unit_arbitrary_and_raise_a_doubt():
@@ -131,7 +131,7 @@ def test_images_without_markers_leave_the_unit_arbitrary_and_raise_a_doubt():
     assert motion.metric_scale is None
     assert not motion.reliable
     assert "no apriltag-36h11 marker is seen" in motion.doubts[0]
-    assert motion.metrics()["monocular_metric_scale"] is None
+    assert motion.metrics()["metric_scale"] is None
     assert motion.trajectory is before.trajectory
 
 

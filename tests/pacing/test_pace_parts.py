@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from simulated_clock import SimulatedClock
 
 from toolkit.exposure import IDENTITY
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.deferred import DeferredSteps, StepCounts
-from toolkit.pacing.clock import MonotonicClock, SimulatedClock
+from toolkit.pacing.clock import MonotonicClock
 from toolkit.pacing.paced import outcome_of
 from toolkit.pacing.record import FrameDelay, PaceRecord, PaceSummary, count_of
 from toolkit.pacing.schedule import ArrivalSchedule
@@ -62,18 +63,18 @@ def test_the_clock_of_the_machine_sleeps_until_a_time():
 
 def test_the_summary_counts_what_was_skipped():
     summary = PaceSummary(10.0, 0.3, ROWS, 7, StepCounts(due=20, taken=15, late=4))
-    metrics = summary.metrics()
+    metrics = summary.metrics()["pace"]
     assert metrics["delay_median_ms"] == pytest.approx(200.0)
     assert metrics["delay_p95_ms"] == pytest.approx(470.0)
     assert metrics["delay_max_ms"] == pytest.approx(500.0)
     assert (metrics["frames_late"], metrics["frames_dropped"]) == (1, 1)
     assert metrics["keyframes_thinned"] == 7
     assert (metrics["mapping_steps_skipped"], metrics["mapping_steps_deferred"]) == (5, 4)
-    assert "depend on the speed of the machine" in str(metrics["pace_convention"])
+    assert "depend on the speed of the machine" in str(metrics["convention"])
 
 
 def test_without_frames_there_is_no_delay():
-    metrics = PaceSummary(10.0, 0.3, (), 0, StepCounts()).metrics()
+    metrics = PaceSummary(10.0, 0.3, (), 0, StepCounts()).metrics()["pace"]
     assert metrics["delay_max_ms"] is None
     assert metrics["frames_dropped"] == 0
 

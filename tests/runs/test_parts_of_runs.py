@@ -119,12 +119,13 @@ def test_parts_have_the_reason_of_their_loss(divided):
 def test_metrics_count_states_and_parts(divided):
     run, _ = divided
     metrics = content(run, "metrics.json")
-    assert (metrics["frames"], metrics["frames_lost"], metrics["frames_doubtful"]) == (17, 2, 1)
-    assert (metrics["parts"], metrics["frames_in_other_parts"]) == (2, 4)
-    assert metrics["ate_pairs"] == len(FIRST) + len(THIRD) - 1
+    frames, part = metrics["frames"], metrics["parts"]["part_1"]
+    assert (frames["total"], frames["lost"], frames["doubtful"]) == (17, 2, 1)
+    assert (metrics["parts"]["count"], frames["in_other_parts"]) == (2, 4)
+    assert metrics["trajectory"]["ate_pairs"] == len(FIRST) + len(THIRD) - 1
     # Against the truth, only the main part is evaluated together.
-    assert metrics["ate_rmse_cm"] < 0.3
-    assert metrics["part_1_frames"] == 4 and metrics["part_1_ate_rmse_cm"] > 0.0
+    assert metrics["trajectory"]["ate_rmse_cm"] < 0.3
+    assert part["frames"] == 4 and part["ate_rmse_cm"] > 0.0
 
 
 def test_the_summary_names_ranges_and_reasons(divided):
@@ -165,21 +166,6 @@ def test_a_finished_run_is_its_main_part(divided):
     assert absolute_trajectory_error(run.trajectory, truth).rmse_m < 0.003
 
 
-def test_older_frames_files_have_one_part(divided, tmp_path):
-    run = tmp_path / "old"
-    shutil.copytree(divided[0], run)
-    frames = content(run, "frames.json")
-    for key in ("states", "parts"):
-        del frames[key]
-    for row in frames["submaps"]:
-        del row["part"]
-    (run / "frames.json").write_text(json.dumps(frames))
-    old = load_run(run)
-    assert len(old.parts) == 1 and sorted(old.submaps) == [0, 1, 2]
-    assert [s.index for s in old.states if s.state == "lost"] == LOST
-    assert old.separate_trajectories() == {}
-
-
 def test_the_viewer_marks_doubtful_and_interrupted_ways(divided):
     scene = read_scene(divided[0], ShownContent())
     # Neither the doubtful frame nor the lost ones have a pose.
@@ -196,11 +182,12 @@ def test_evaluate_lists_the_parts(divided, capsys, tmp_path):
     assert main(["evaluate", str(run)]) == 0
     out = capsys.readouterr().out
     assert "Frames 8-11 (4 frames) form a separate part" in out
-    assert any(line.split()[:1] == ["part_1_ate_rmse_cm"] for line in out.splitlines())
+    assert any(line.split()[:1] == ["parts.part_1.ate_rmse_cm"] for line in out.splitlines())
     after = content(run, "metrics.json")
-    for key in ("frames", "frames_lost", "frames_doubtful", "parts", "frames_in_other_parts"):
-        assert after[key] == before[key]
-    assert after["part_1_ate_rmse_cm"] == pytest.approx(before["part_1_ate_rmse_cm"], abs=1e-2)
+    assert after["frames"] == before["frames"]
+    assert after["parts"]["count"] == before["parts"]["count"]
+    ate_rmse_cm = before["parts"]["part_1"]["ate_rmse_cm"]
+    assert after["parts"]["part_1"]["ate_rmse_cm"] == pytest.approx(ate_rmse_cm, abs=1e-2)
 
 
 def test_refinement_keeps_the_parts(divided, tmp_path):
@@ -221,4 +208,4 @@ def test_a_run_extends_the_main_part_only(divided, tmp_path, caplog):
         assert main([*words, "--max-frames", "4"]) == 0
     assert "Relocalising in 2 submap(s)" in caplog.text
     metrics = content(tmp_path / "run", "metrics.json")
-    assert (metrics["parts"], metrics["frames_lost"]) == (1, 0)
+    assert (metrics["parts"]["count"], metrics["frames"]["lost"]) == (1, 0)

@@ -83,8 +83,8 @@ def test_run_from_python_writes_the_same_folder_as_the_command(tiny_recording, t
 def test_a_run_is_loaded_evaluated_and_rendered(tiny_run, tiny_recording):
     run = toolkit.load_run(tiny_run)
     metrics = toolkit.evaluate(run, max_views=2)
-    assert metrics["frames"] == len(run.trajectory) == 6
-    assert metrics["ate_rmse_cm"] < 1.0
+    assert metrics["frames"]["total"] == len(run.trajectory) == 6
+    assert metrics["trajectory"]["ate_rmse_cm"] < 1.0
     camera = toolkit.open_dataset("folder", tiny_recording).camera
     assert isinstance(camera, toolkit.Camera)
     T_camera_map = np.linalg.inv(run.trajectory.T_world_camera[0])
@@ -103,4 +103,4 @@ def test_the_command_evaluates_to_the_same_metrics(tiny_run, tmp_path):
     assert main(["evaluate", str(copy)]) == 0
     metrics = toolkit.evaluate(toolkit.load_run(copy))
     written = (copy / "metrics.json").read_text()
-    assert f'"psnr_db": {metrics["psnr_db"]}' in written
+    assert f'"psnr_db": {metrics["images"]["mapped"]["psnr_db"]}' in written

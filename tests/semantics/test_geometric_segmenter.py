@@ -40,7 +40,7 @@ def iou(views: list[LabelledView], labels: list[np.ndarray], number: int) -> flo
 
 def up_error_deg(segmenter: GeometricSegmenter, first: LabelledView) -> float:
     true = first.T_world_camera[:3, :3].T @ [0.0, 0.0, 1.0]
-    return float(np.rad2deg(np.arccos(np.clip(segmenter.up @ true, -1.0, 1.0))))
+    return float(np.rad2deg(np.arccos(np.clip(segmenter._room.up.direction @ true, -1.0, 1.0))))
 
 
 def test_a_room_is_taken_apart():
@@ -52,7 +52,7 @@ def test_a_room_is_taken_apart():
     assert iou(views, labels, SURFACE) > 0.8
     assert iou(views, labels, OBJECT) > 0.85
     assert up_error_deg(segmenter, views[0]) < 0.5
-    assert segmenter.floor_m == pytest.approx(-1.5, abs=0.02)
+    assert segmenter._room.floor_height_m == pytest.approx(-1.5, abs=0.02)
     assert set(CLASS_NAMES) == {FLOOR, WALL, CEILING, SURFACE, OBJECT}
 
 
@@ -102,7 +102,7 @@ def test_a_first_view_that_misleads_is_put_right():
     labels = segmented(segmenter, views)
     assert (labels[0] != SURFACE).any()  # one view may as well show a wall or a floor
     assert up_error_deg(segmenter, views[0]) < 1.0
-    assert segmenter.floor_m == pytest.approx(-1.3, abs=0.03)
+    assert segmenter._room.floor_height_m == pytest.approx(-1.3, abs=0.03)
     assert accuracy(views[4:], labels[4:]) > 0.95
 
 

@@ -83,10 +83,11 @@ def runs(room, tmp_path_factory) -> dict[float, Path]:
 @pytest.mark.parametrize("factor", [1 / 50, 30.0])
 def test_the_size_of_a_scene_does_not_matter(runs, factor):
     here, there = (json.loads((runs[f] / "metrics.json").read_text()) for f in (1.0, factor))
-    assert there["frames_lost"] == there["frames_doubtful"] == 0
-    assert there["psnr_db"] > here["psnr_db"] - 0.5
-    assert there["ate_rmse_cm"] / factor == pytest.approx(here["ate_rmse_cm"], abs=0.05)
-    assert there["depth_l1_cm"] / factor == pytest.approx(here["depth_l1_cm"], rel=0.3)
+    assert there["frames"]["lost"] == there["frames"]["doubtful"] == 0
+    assert there["images"]["mapped"]["psnr_db"] > here["images"]["mapped"]["psnr_db"] - 0.5
+    ate_cm, l1_cm = here["trajectory"]["ate_rmse_cm"], here["depth"]["mapped"]["l1_cm"]
+    assert there["trajectory"]["ate_rmse_cm"] / factor == pytest.approx(ate_cm, abs=0.05)
+    assert there["depth"]["mapped"]["l1_cm"] / factor == pytest.approx(l1_cm, rel=0.3)
     finished = load_run(runs[factor])
     path_m = load_run(runs[1.0]).trajectory.path_length_m
     assert finished.trajectory.path_length_m / factor == pytest.approx(path_m, rel=0.05)
@@ -115,8 +116,8 @@ def test_a_small_map_is_refined_and_continued(runs, room, tmp_path):
     place = load_run(run_folder).settings.dataset.path
     run(settings(place, map=str(run_folder)), tmp_path / "continued")
     after = json.loads((tmp_path / "continued" / "metrics.json").read_text())
-    assert after["frames_lost"] == 0
-    assert after["psnr_db"] > before["psnr_db"] - 1.0
+    assert after["frames"]["lost"] == 0
+    assert after["images"]["mapped"]["psnr_db"] > before["images"]["mapped"]["psnr_db"] - 1.0
 
 
 def test_an_interrupted_run_of_a_large_scene_is_resumed(runs, tmp_path):

@@ -10,12 +10,12 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from simulated_clock import SimulatedClock
 from slam_room import FEW, SlamRoom, blind_frames
 
 from toolkit.frame import Frame
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import KeyframePolicy, MapperOptions
-from toolkit.pacing.clock import SimulatedClock
 from toolkit.pacing.options import PacingOptions
 from toolkit.pacing.paced import PacedSlam
 from toolkit.slam.front_end import FrontEnd
@@ -38,9 +38,6 @@ class SimulatedStages:
     def timed(self, stage: str) -> Iterator[None]:
         yield
         self.clock.advance(self.durations_s.get(stage, 0.0))
-
-    def count(self, name: str, value: float) -> None:
-        pass
 
 
 def paced(durations_s: dict[str, float], options: MapperOptions = FEW) -> PacedSlam:

@@ -83,9 +83,9 @@ def test_a_checkpoint_of_another_format_is_not_called_damaged(folder):
     save(folder, 0)
     path = folder.checkpoints / "0" / "metadata.json"
     metadata = json.loads(path.read_text())
-    del metadata["format"]  # as versions before the first format wrote it
+    metadata["format"] = 1
     path.write_text(json.dumps(metadata))
-    with pytest.raises(RunFolderError, match=r"checkpoint format 0.*reads format 2.*new run"):
+    with pytest.raises(RunFolderError, match=r"checkpoint format 1.*reads format 3.*new run"):
         folder.load_checkpoint()
 
 

@@ -35,9 +35,6 @@ class Nesting:
         yield
         self.open.pop()
 
-    def count(self, name: str, value: float) -> None:
-        """Ignore counts."""
-
 
 @pytest.fixture(scope="module")
 def recorded(room: SlamRoom) -> Nesting:

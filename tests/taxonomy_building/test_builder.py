@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.baseline_trees import alphabetical_taxonomy, random_taxonomy
 from toolkit.errors import FormatError
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_parsing import folded
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.taxonomy_building.comparison import alphabetical_taxonomy, random_taxonomy
 from toolkit.taxonomy_building.rules import RuleGrouper
 from toolkit.taxonomy_building.shapes import GivenShapes
 from toolkit.taxonomy_building.vocabulary import built_in

@@ -50,8 +50,6 @@ class Similarity:
         covered: fraction of the frame's measured pixels that lie on measured pixels of the view.
         agreeing: fraction of these within the margin of free space from the planes of the view's
             surfaces; pixels at edges are left out.
-        behind: fraction of these behind the view's surface, where the frame saw through it.
-        in_front: fraction of these in front of the view's surface, where the view saw through them.
     """
 
     correlation: float
@@ -59,8 +57,6 @@ class Similarity:
     blocks: int
     covered: float
     agreeing: float
-    behind: float
-    in_front: float
 
 
 def aligned_correlation(
@@ -96,8 +92,6 @@ def aligned_correlation(
         blocks=len(ncc),
         covered=int(covered.sum()) / max(int(measured.sum()), 1),
         agreeing=int(agrees.sum()) / count,
-        behind=int((judged & (gap_m > margin_m)).sum()) / count,
-        in_front=int((judged & (gap_m < -margin_m)).sum()) / count,
     )
 
 

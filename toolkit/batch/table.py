@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from toolkit.batch.plan import PlannedRun
+from toolkit.errors import FormatError
+from toolkit.evaluation.metrics import flattened, read_metrics
 
 # Metrics in Markdown and HTML; the CSV file has all of them.
 SHOWN = (
-    "ate_rmse_cm",
-    "psnr_db",
-    "psnr_unseen_db",
-    "depth_l1_cm",
-    "miou_percent",
-    "frames",
-    "frames_lost",
-    "frames_doubtful",
-    "frames_in_other_parts",
-    "total_ms_per_frame",
-    "peak_memory_mb",
+    "trajectory.ate_rmse_cm",
+    "images.mapped.psnr_db",
+    "images.unseen.psnr_db",
+    "depth.mapped.l1_cm",
+    "semantics.mapped.miou_percent",
+    "frames.total",
+    "frames.lost",
+    "frames.doubtful",
+    "frames.in_other_parts",
+    "time.total_ms_per_frame",
+    "memory.peak_mb",
 )
 
 
@@ -36,7 +37,7 @@ class RunRow:
         state: "finished" or "failed".
         reason: why it failed; empty if it finished.
         attempts: how often its process was started.
-        metrics: content of metrics.json; empty if it failed.
+        metrics: content of metrics.json by dotted key; empty if it failed.
     """
 
     run: PlannedRun
@@ -56,9 +57,9 @@ def run_row(run: PlannedRun, reason: str, attempts: int) -> RunRow:
     metrics: dict[str, Any] = {}
     if not reason:
         try:
-            metrics = json.loads((run.folder / "metrics.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            reason = f"{run.folder / 'metrics.json'} cannot be read ({error}); run again"
+            metrics = flattened(read_metrics(run.folder / "metrics.json"))
+        except FormatError as error:
+            reason = str(error)
     return RunRow(run, "failed" if reason else "finished", reason, attempts, metrics)
 
 

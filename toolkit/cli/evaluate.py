@@ -8,7 +8,7 @@ from dataclasses import replace
 from toolkit.cli.programs import EvaluateOptions
 from toolkit.errors import FormatError
 from toolkit.evaluation.frame_states import part_lines
-from toolkit.evaluation.metrics import Metrics, read_metrics, write_metrics
+from toolkit.evaluation.metrics import Metrics, flattened, read_metrics, write_metrics
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.runs.evaluation import evaluate
 from toolkit.runs.finished import FinishedRun, load_run
@@ -16,37 +16,41 @@ from toolkit.runs.finished import FinishedRun, load_run
 _log = logging.getLogger(__name__)
 
 _PRINTED = (
-    "ate_rmse_cm",
-    "rpe_rotation_deg",
-    "loop_edges",
-    "loop_edges_right",
-    "loop_edge_error_max_cm",
-    "loop_edge_error_max_deg",
-    "loop_precision_percent",
-    "loop_recall_percent",
-    "psnr_db",
-    "psnr_unseen_db",
-    "psnr_unseen_refined_db",
-    "ssim",
-    "ms_ssim",
-    "lpips",
-    "depth_l1_cm",
-    "frames",
-    "frames_lost",
-    "frames_doubtful",
-    "frames_in_other_parts",
-    "gaussians",
+    "trajectory.ate_rmse_cm",
+    "trajectory.rpe_rotation_deg",
+    "loops.edges.count",
+    "loops.edges.right",
+    "loops.edges.error_max_cm",
+    "loops.edges.error_max_deg",
+    "loops.verified.overlap.precision_percent",
+    "loops.verified.overlap.recall_percent",
+    "images.mapped.psnr_db",
+    "images.unseen.psnr_db",
+    "images.unseen_refined.psnr_db",
+    "images.mapped.ssim",
+    "images.mapped.ms_ssim",
+    "images.mapped.lpips",
+    "depth.mapped.l1_cm",
+    "frames.total",
+    "frames.lost",
+    "frames.doubtful",
+    "frames.in_other_parts",
+    "map.gaussians",
 )
 _PRINTED_MESH = (
-    "mesh_accuracy_cm",
-    "mesh_completion_cm",
-    "mesh_completion_ratio_percent",
-    "mesh_f_score_1cm_percent",
-    "mesh_f_score_2cm_percent",
-    "mesh_f_score_5cm_percent",
-    "mesh_normal_consistency",
+    "mesh.accuracy_cm",
+    "mesh.completion_cm",
+    "mesh.completion_ratio_percent",
+    "mesh.f_score_1cm_percent",
+    "mesh.f_score_2cm_percent",
+    "mesh.f_score_5cm_percent",
+    "mesh.normal_consistency",
 )
-_PRINTED_SUBSET = ("miou_percent", "miou_subset_percent", "miou_subset_unseen_percent")
+_PRINTED_SUBSET = (
+    "semantics.mapped.miou_percent",
+    "semantics.mapped.miou_subset_percent",
+    "semantics.unseen.miou_subset_percent",
+)
 
 
 def main(options: EvaluateOptions) -> int:
@@ -64,14 +68,15 @@ def main(options: EvaluateOptions) -> int:
     new_metrics = evaluate(run, options.dataset.path, options.max_views, evaluation, options.mesh)
     metrics = _earlier_metrics(run) | new_metrics
     write_metrics(run.folder.metrics, metrics)
-    with_mesh = "mesh_accuracy_cm" in new_metrics
+    values = flattened(metrics)
+    with_mesh = "mesh" in new_metrics
     for key in _PRINTED + _PRINTED_MESH * with_mesh + _PRINTED_SUBSET * evaluation.subset:
-        print(f"{key:<30}{_format(metrics.get(key))}")
+        print(f"{key:<42}{_format(values.get(key))}")
     for line in part_lines(run.states, run.parts):
         print(line)
-    for key, value in sorted(new_metrics.items()):
-        if key.startswith("part_"):
-            print(f"{key:<30}{_format(value)}")
+    for key, value in values.items():
+        if key.startswith("parts.part_"):
+            print(f"{key:<42}{_format(value)}")
     print(f"wrote {run.folder.metrics}")
     return 0
 

@@ -92,9 +92,6 @@ class RenderProgram:
     view: tuple[tuple[float, float, float, float, float], ...] = ()
     """Views to render, five numbers each: x y z in metres (right, down, forward), yaw (right) and
     pitch (up) in degrees, relative to the run's first camera or the axes of a splat file."""
-    spz_axes: Literal["specified", "as-ply"] = "specified"
-    """Axes of a .spz file: those of its specification, or those of the .ply file that some programs
-    write without converting them (the map is upside down and behind the camera then)."""
     every: PositiveInt = 1
     """Interval of the poses that are rendered: every n-th one."""
     what: tuple[Literal["colour", "depth", "silhouette", "strip", "labels", "levels"], ...] = (

@@ -181,7 +181,7 @@ def _knots(options: RenderProgram, map_: _Map, camera: Camera) -> NDArray[np.flo
 def _load(options: RenderProgram) -> _Map:
     path, labels = options.map, bool(SEMANTIC_IMAGES & set(options.what))
     if is_splat_file(path):
-        return _Map(read_cloud(path, options.spz_axes), None, "auto")
+        return _Map(read_cloud(path), None, "auto")
     if not path.exists():
         raise DatasetError(
             f"{path} does not exist; give a run folder or a {', '.join(SUFFIXES)} file"

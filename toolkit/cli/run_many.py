@@ -147,7 +147,10 @@ def _summary(run: PlannedRun, outcome: RunOutcome) -> str:
         return f"failed: {outcome.reason}"
     metrics = run_row(run, "", 1).metrics
     parts = [f"finished in {outcome.time_s:.0f} s"]
-    for key, text in (("ate_rmse_cm", "ATE {:.2f} cm"), ("psnr_db", "PSNR {:.1f} dB")):
+    for key, text in (
+        ("trajectory.ate_rmse_cm", "ATE {:.2f} cm"),
+        ("images.mapped.psnr_db", "PSNR {:.1f} dB"),
+    ):
         if metrics.get(key) is not None:
             parts.append(text.format(metrics[key]))
     return ", ".join(parts)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
@@ -21,7 +20,6 @@ from toolkit.datasets.findings import (
 )
 from toolkit.datasets.pairing import listed
 from toolkit.datasets.pose_convention import judge_convention
-from toolkit.datasets.registry import describe
 from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.datasets.times import unit_fault
 from toolkit.errors import ToolkitError
@@ -74,27 +72,6 @@ class _Findings:
     before: Frame | None = None
 
 
-def check_dataset(
-    kind: str,
-    path: str | os.PathLike[str],
-    image_size: tuple[int, int] | None = None,
-    watch: Callable[[Iterable[int]], Iterable[int]] = iter,
-) -> CheckReport:
-    """Read every frame of a dataset and report defects.
-
-    Args:
-        kind: kind of the dataset, one of `registry.KINDS`.
-        path: folder of the dataset.
-        image_size: (width, height) in pixels to resize to, as in a run, or None.
-        watch: wraps the iterable of frame indices to show progress.
-
-    Raises:
-        DatasetError: the dataset does not exist.
-        FormatError: a text file is malformed.
-    """
-    return check_recording(describe(kind, path), image_size, watch)
-
-
 def check_recording(
     recording: Recording,
     image_size: tuple[int, int] | None = None,
@@ -104,7 +81,8 @@ def check_recording(
 
     Args:
         recording: from `registry.describe`.
-        image_size, watch: as for `check_dataset`.
+        image_size: (width, height) in pixels to resize to, as in a run, or None.
+        watch: wraps the iterable of frame indices to show progress.
 
     Raises:
         DatasetError: the recording has no frames.

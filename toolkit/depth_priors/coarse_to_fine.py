@@ -61,12 +61,10 @@ class SweptDepth:
 
     Attributes:
         inverse_depth: [H, W] float32 inverse z-depth, 0 where unknown.
-        correlation: [H, W] float32 in [0, 1], of the images at the chosen depth.
         margin: [H, W] float32 in [0, 1], by which it fits better than others of the band.
     """
 
     inverse_depth: Image
-    correlation: Image
     margin: Image
 
 
@@ -109,7 +107,7 @@ def sweep_depth(
     known &= inverse_depth > 0
     inverse_depth = np.where(known, inverse_depth, np.float32(0.0))
     inverse_depth = remove_fattening(images.full, inverse_depth)
-    return SweptDepth(inverse_depth, found.correlation, found.margin)
+    return SweptDepth(inverse_depth, found.margin)
 
 
 def _half_depth(

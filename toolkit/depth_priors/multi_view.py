@@ -84,10 +84,9 @@ class MultiViewDepth:
         camera: Camera,
         views: Sequence[SweptKeyframe],
         intensity: Callable[[int], Image],
-        agreement: AgreementOptions | None = None,
     ) -> None:
         self._camera, self._views, self._intensity = camera, views, intensity
-        self._agreement = agreement or AgreementOptions()
+        self._agreement = AgreementOptions()
         self._images: LruCache[ImagePair] = LruCache(_CACHED)
         self._swept: LruCache[SweptDepth] = LruCache(_CACHED)
 

@@ -74,12 +74,10 @@ class Confidence:
 
     Attributes:
         values: [h, w] float32; higher is more reliable.
-        meaning: one phrase, with the range of the values.
         minimum: pixels with a lower value are not used.
     """
 
     values: Image
-    meaning: str
     minimum: float = 0.0
 
 

@@ -18,13 +18,11 @@ class ReliabilityTable:
     """Confidence and accuracy in bins of equal width over [0, 1].
 
     Attributes:
-        edges: [B + 1] bounds of the bins.
         pixels: [B] int64 number of pixels in each bin.
         confidence: [B] mean confidence of the pixels, NaN for an empty bin.
         accuracy: [B] fraction of correct pixels, NaN for an empty bin.
     """
 
-    edges: NDArray[np.float64]
     pixels: NDArray[np.int64]
     confidence: NDArray[np.float64]
     accuracy: NDArray[np.float64]
@@ -38,35 +36,14 @@ class ReliabilityTable:
         gaps = np.nan_to_num(np.abs(self.accuracy - self.confidence))
         return float((self.pixels * gaps).sum() / total)
 
-    def rows(self) -> list[dict[str, float | int | None]]:
-        """Return the bins as JSON values, null for an empty bin."""
-        return [
-            {
-                "from": float(low),
-                "to": float(high),
-                "pixels": int(pixels),
-                "confidence": float(confidence) if pixels else None,
-                "accuracy": float(accuracy) if pixels else None,
-            }
-            for low, high, pixels, confidence, accuracy in zip(
-                self.edges[:-1],
-                self.edges[1:],
-                self.pixels,
-                self.confidence,
-                self.accuracy,
-                strict=True,
-            )
-        ]
-
 
 class Calibration:
     """Accumulates confidence and correctness over a sequence of views."""
 
-    def __init__(self, bins: int = _BINS) -> None:
-        self._edges = np.linspace(0.0, 1.0, bins + 1)
-        self._pixels = np.zeros(bins, np.int64)
-        self._confidence = np.zeros(bins)
-        self._correct = np.zeros(bins, np.int64)
+    def __init__(self) -> None:
+        self._pixels = np.zeros(_BINS, np.int64)
+        self._confidence = np.zeros(_BINS)
+        self._correct = np.zeros(_BINS, np.int64)
         self._labelled_pixels = 0
 
     def add(
@@ -74,14 +51,12 @@ class Calibration:
         truth: NDArray[np.integer],
         predicted: NDArray[np.integer],
         confidence: NDArray[np.floating],
-        void: int = VOID,
     ) -> None:
         """Add one view.
 
         Args:
-            truth, predicted: class ids [H, W], or node indices of one level.
+            truth, predicted: class ids [H, W].
             confidence: [H, W] in [0, 1], of the prediction.
-            void: id of void; -1 for node indices.
 
         Raises:
             ValueError: shapes differ, or the confidence of a valid pixel is not within [0, 1].
@@ -91,26 +66,24 @@ class Calibration:
                 "truth, predicted and confidence must have the same shape, got "
                 f"{list(truth.shape)}, {list(predicted.shape)} and {list(confidence.shape)}"
             )
-        self._labelled_pixels += int((truth != void).sum())
-        valid = (truth != void) & (predicted != void)
+        self._labelled_pixels += int((truth != VOID).sum())
+        valid = (truth != VOID) & (predicted != VOID)
         values = confidence[valid].astype(np.float64)
         # This form of the comparison also rejects NaN.
         if not ((values >= 0.0) & (values <= 1.0)).all():
             raise ValueError("confidence must be within [0, 1]")
-        bins = len(self._pixels)
         # Bins include their upper bound; the first bin also includes its lower bound.
-        index = np.clip(np.ceil(values * bins).astype(int) - 1, 0, bins - 1)
+        index = np.clip(np.ceil(values * _BINS).astype(int) - 1, 0, _BINS - 1)
         correct = (truth == predicted)[valid]
-        self._pixels += np.bincount(index, minlength=bins)
-        self._confidence += np.bincount(index, weights=values, minlength=bins)
-        self._correct += np.bincount(index[correct], minlength=bins)
+        self._pixels += np.bincount(index, minlength=_BINS)
+        self._confidence += np.bincount(index, weights=values, minlength=_BINS)
+        self._correct += np.bincount(index[correct], minlength=_BINS)
 
     @property
     def table(self) -> ReliabilityTable:
         """Reliability table of all views added so far."""
         with np.errstate(invalid="ignore"):
             return ReliabilityTable(
-                self._edges,
                 self._pixels.copy(),
                 self._confidence / self._pixels,
                 self._correct / self._pixels,
@@ -124,18 +97,13 @@ class Calibration:
         return float(self._pixels.sum() / self._labelled_pixels)
 
 
-def calibration_metrics(result: Calibration, suffix: str = "") -> Metrics:
-    """Compute ECE, mean confidence and coverage in percent; None without data.
-
-    Args:
-        result: calibration over all views of one group.
-        suffix: "" for mapped views, "_unseen" for views excluded from mapping.
-    """
+def calibration_metrics(result: Calibration) -> Metrics:
+    """Compute ECE, mean confidence and coverage of views in percent; None without data."""
     table = result.table
     total = int(table.pixels.sum())
     mean = np.nansum(table.confidence * table.pixels) / total if total else None
     values = {"ece": table.ece, "confidence_mean": mean, "calibration_coverage": result.coverage}
     return {
-        f"{name}{suffix}_percent": None if value is None else float(100.0 * value)
+        f"{name}_percent": None if value is None else float(100.0 * value)
         for name, value in values.items()
     }

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from toolkit.evaluation.charts import Axes, Series, line_chart
-from toolkit.evaluation.metrics import Metrics, MetricValue
+from toolkit.evaluation.metrics import MetricValue
 from toolkit.geometry.trajectory import Trajectory
 
 _MAX_IMAGE_WIDTH = 480
@@ -29,30 +29,27 @@ _LINE_COLOURS = 6
 # Whether small or large values of a metric are better, by patterns of its name; the first match
 # counts. Metrics without a match, such as the number of frames, have no best value.
 _BETTER = (
-    (
-        r"_convention$|^views|^frames$|^keyframes|coverage|observed|ate_pairs|time_diff|rpe_delta",
-        None,
-    ),
-    (r"ate_|rpe_|drift|error|_lost|_late|dropped|lpips|_l1_|thickness|floaters|ece_", "low"),
+    (r"convention|views$|frames.total|keyframes|coverage|observed|ate_pairs", None),
+    (r"ate_|rpe_|drift|error|lost|_late|dropped|lpips|l1_cm|thickness|floaters|ece_", "low"),
     (r"doubtful|other_parts", "low"),
     (r"accuracy_cm|completion_cm|_ms(_|$)|_s$|delay|memory|_mb$", "low"),
-    (r"psnr|ssim|iou_|accuracy|f_score|ratio_percent|precision|recall|_f1_|consistency", "high"),
+    (r"psnr|ssim|iou_|accuracy|f_score|ratio_percent|precision|recall|f1_|consistency", "high"),
 )
 _HIGHLIGHTS = (
-    "ate_rmse_cm",
-    "psnr_db",
-    "psnr_unseen_db",
-    "ssim",
-    "depth_l1_cm",
-    "miou_percent",
-    "mesh_f_score_2cm_percent",
-    "tracking_ms_per_frame",
-    "mapping_ms_per_frame",
-    "gaussians",
-    "peak_memory_mb",
-    "frames_lost",
-    "frames_doubtful",
-    "frames_in_other_parts",
+    "trajectory.ate_rmse_cm",
+    "images.mapped.psnr_db",
+    "images.unseen.psnr_db",
+    "images.mapped.ssim",
+    "depth.mapped.l1_cm",
+    "semantics.mapped.miou_percent",
+    "mesh.f_score_2cm_percent",
+    "time.tracking_ms_per_frame",
+    "time.mapping_ms_per_frame",
+    "map.gaussians",
+    "memory.peak_mb",
+    "frames.lost",
+    "frames.doubtful",
+    "frames.in_other_parts",
 )
 
 
@@ -63,7 +60,7 @@ class ComparedRun:
     Attributes:
         name: unique name.
         settings: settings by dotted key.
-        metrics: content of metrics.json.
+        metrics: content of metrics.json by dotted key.
         estimate: estimated poses in the frame of the map.
         views: rendered images [H, W, 3] uint8 RGB by file name.
         report: URL of the report relative to the page, or None.
@@ -71,7 +68,7 @@ class ComparedRun:
 
     name: str
     settings: Mapping[str, Any]
-    metrics: Metrics
+    metrics: Mapping[str, MetricValue]
     estimate: Trajectory
     views: Mapping[str, NDArray[np.uint8]]
     report: str | None = None
@@ -103,17 +100,6 @@ def render_comparison(runs: Sequence[ComparedRun]) -> str:
         chart=_path_chart(runs),
         views=_view_rows(runs),
     )
-
-
-def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            flat |= flattened(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
 
 
 def setting_rows(runs: Sequence[ComparedRun]) -> list[tuple[str, list[str]]]:

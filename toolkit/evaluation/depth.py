@@ -15,13 +15,11 @@ class DepthError:
     Attributes:
         l1_m: mean of |rendered - measured| in metres over the valid pixels, None if there are
             none.
-        pixels: number of valid pixels, with both measured and rendered depth.
         coverage: fraction of the pixels with measured depth that are valid, in [0, 1]. A map
             with many holes may have a small error, but has a small coverage.
     """
 
     l1_m: float | None
-    pixels: int
     coverage: float
 
 
@@ -48,9 +46,9 @@ def depth_l1(rendered_m: NDArray, measured_m: NDArray) -> DepthError:
     valid = measured & _is_valid(rendered_m)
     pixels = int(valid.sum())
     if pixels == 0:
-        return DepthError(None, 0, 0.0)
+        return DepthError(None, 0.0)
     difference = rendered_m[valid].astype(np.float64) - measured_m[valid]
-    return DepthError(float(np.abs(difference).mean()), pixels, pixels / int(measured.sum()))
+    return DepthError(float(np.abs(difference).mean()), pixels / int(measured.sum()))
 
 
 def _is_valid(depth_m: NDArray) -> NDArray[np.bool_]:

@@ -128,14 +128,21 @@ def ranges(states: Iterable[FrameState]) -> list[StateRange]:
     return found
 
 
-def state_metrics(states: Sequence[FrameState], parts: Sequence[PartSummary]) -> Metrics:
-    """Entries of metrics.json about states and parts."""
+def frame_metrics(
+    states: Sequence[FrameState], parts: Sequence[PartSummary], keyframes: int
+) -> Metrics:
+    """Numbers of frames by their state.
+
+    Args:
+        keyframes: number of keyframes.
+    """
     counts = Counter(state.state for state in states)
     return {
-        "frames_doubtful": counts["doubtful"],
-        "frames_lost": counts["lost"],
-        "parts": len(parts),
-        "frames_in_other_parts": sum(part.frames for part in parts if part.number > 0),
+        "total": len(states),
+        "keyframes": keyframes,
+        "doubtful": counts["doubtful"],
+        "lost": counts["lost"],
+        "in_other_parts": sum(part.frames for part in parts if part.number > 0),
     }
 
 

@@ -32,7 +32,6 @@ def free_space_metrics(scene: GaussianScene, views: Iterable[DepthView]) -> Metr
         views: depth of the held-out frames at their poses in the frame of the map.
     """
     views = list(views)
-    names = ("free_space_opacity_percent", "free_space_opacity_any_percent")
     total, inside = 0.0, [0.0, 0.0]
     for part in scene.parts() if views else ():
         opacities = part.opacities.double()
@@ -40,7 +39,11 @@ def free_space_metrics(scene: GaussianScene, views: Iterable[DepthView]) -> Metr
         for number, mask in enumerate(_in_empty_space(part.means, views)):
             inside[number] += float(opacities[mask].sum())
     shares = [100.0 * value / total if total else None for value in inside]
-    return {**dict(zip(names, shares, strict=True)), "free_space_convention": FREE_SPACE_CONVENTION}
+    return {
+        "opacity_percent": shares[0],
+        "opacity_any_percent": shares[1],
+        "convention": FREE_SPACE_CONVENTION,
+    }
 
 
 def _in_empty_space(means: Tensor, views: list[DepthView]) -> tuple[Tensor, Tensor]:

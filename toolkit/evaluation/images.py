@@ -59,47 +59,25 @@ def masked_psnr_db(rendered: Image, truth: Image, mask: NDArray[np.bool_]) -> fl
     return psnr_db(a[mask][None], b[mask][None]) if mask.any() else None
 
 
-def ssim(rendered: Image, truth: Image) -> float | None:
-    """Compute the structural similarity: 11x11 Gaussian window, sigma 1.5, data range 1.
-
-    The result is the mean over all pixels and channels with a mirrored border, as in
-    torchmetrics.
-
-    Args:
-        rendered, truth: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
-
-    Returns:
-        SSIM, at most 1; None for an image smaller than the window.
-
-    Raises:
-        ValueError: shapes differ or are not [H, W, 3].
-    """
-    a, b = _as_pair(rendered, truth)
-    return _ssim_of(_Statistics(a, b)) if _fits(a, 1) else None
-
-
-def ms_ssim(rendered: Image, truth: Image) -> float | None:
-    """Compute the multi-scale structural similarity over five scales, each half the previous.
-
-    As in torchmetrics, contrast is averaged over pixels whose window lies inside the image, the
-    similarity of the coarsest scale over all pixels, and both over all channels.
-
-    Args:
-        rendered, truth: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
-
-    Returns:
-        MS-SSIM in [0, 1]. None if the shorter side is below 176 pixels: the window would not
-        fit in the coarsest scale, and values for fewer scales are not comparable.
-
-    Raises:
-        ValueError: shapes differ or are not [H, W, 3].
-    """
-    a, b = _as_pair(rendered, truth)
-    return _ms_ssim_of(a, b, _Statistics(a, b)) if _fits(a, len(MS_SSIM_WEIGHTS)) else None
-
-
 def ssim_and_ms_ssim(rendered: Image, truth: Image) -> tuple[float | None, float | None]:
-    """Compute `ssim` and `ms_ssim`, which share the finest scale."""
+    """Compute SSIM, and MS-SSIM over five scales, each half the previous; both as in torchmetrics.
+
+    SSIM has an 11x11 Gaussian window of sigma 1.5, data range 1, and is the mean over all pixels
+    and channels with a mirrored border. The contrast of MS-SSIM is averaged over pixels whose
+    window lies inside the image, the similarity of the coarsest scale over all pixels, and both
+    over all channels.
+
+    Args:
+        rendered, truth: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
+
+    Returns:
+        SSIM, at most 1, None for an image smaller than the window. MS-SSIM in [0, 1], None if the
+        shorter side is below 176 pixels: the window would not fit in the coarsest scale, and
+        values for fewer scales are not comparable.
+
+    Raises:
+        ValueError: shapes differ or are not [H, W, 3].
+    """
     a, b = _as_pair(rendered, truth)
     if not _fits(a, 1):
         return None, None

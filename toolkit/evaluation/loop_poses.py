@@ -99,14 +99,14 @@ def edge_metrics(errors: Sequence[EdgeError], own: TruthErrorOptions | None = No
     cm = [100.0 * error.metres for error in errors]
     deg = [error.degrees for error in errors]
     return {
-        "loop_edges": len(errors),
-        "loop_edges_right": right,
-        "loop_edges_right_percent": 100.0 * right / len(errors) if errors else None,
-        "loop_edge_error_median_cm": float(np.median(cm)) if errors else None,
-        "loop_edge_error_max_cm": max(cm, default=None),
-        "loop_edge_error_median_deg": float(np.median(deg)) if errors else None,
-        "loop_edge_error_max_deg": max(deg, default=None),
-        "loop_edges_convention": (
+        "count": len(errors),
+        "right": right,
+        "right_percent": 100.0 * right / len(errors) if errors else None,
+        "error_median_cm": float(np.median(cm)) if errors else None,
+        "error_max_cm": max(cm, default=None),
+        "error_median_deg": float(np.median(deg)) if errors else None,
+        "error_max_deg": max(deg, default=None),
+        "convention": (
             "accepted edges between two frames with ground truth; right within "
             f"{100 * MAX_ERROR_M:g} cm and {MAX_ERROR_DEG:g} degrees, plus the ground truth's own "
             f"error: {100 * own.truth_error_m:g} cm, {own.truth_error_deg:g} degrees, and the "

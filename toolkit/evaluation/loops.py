@@ -118,7 +118,6 @@ class LoopScore:
     Attributes:
         accepted: number of candidates accepted by the detector.
         correct: number of accepted candidates that are true loops.
-        searched: number of keyframes at which loops were searched.
         with_loop: number of searched keyframes with an earlier true loop.
         found: number of these with a correct candidate.
         true_intervals: number of pairs of intervals, or of frames, that form a true loop.
@@ -127,7 +126,6 @@ class LoopScore:
 
     accepted: int
     correct: int
-    searched: int
     with_loop: int
     found: int
     true_intervals: int
@@ -227,7 +225,6 @@ def score_loops(
     return LoopScore(
         accepted=len(pairs),
         correct=len(correct),
-        searched=len(queries),
         with_loop=len(with_loop),
         found=len(with_loop & {query for query, _ in correct}),
         true_intervals=int(truth.sum()),
@@ -247,39 +244,44 @@ def loop_metrics(
         views, searched, accepted, options: as in `score_loops`.
 
     Returns:
-        `loop_precision_percent` etc.; with the suffix `_position` without the overlap criterion,
-        with `_intervals` for intervals of 10 frames, and with both suffixes by G's definition.
+        The number of accepted pairs, and a group of metrics for each of `loop_definitions`.
     """
-    options = options or LoopTruthOptions()
     pairs = list(accepted)
-    position_only = replace(options, min_overlap=0.0)
-    metrics: Metrics = {
-        "loops_searched": len(set(searched)),
-        "loops_accepted": len(set(pairs)),
-    }
-    for suffix, variant in (
-        ("", options),
-        ("_position", position_only),
-        ("_intervals", replace(options, interval=_G_INTERVAL)),
-        ("_intervals_position", replace(position_only, interval=_G_INTERVAL)),
-    ):
-        score = score_loops(views, searched, pairs, variant)
+    metrics: Metrics = {"accepted": len(set(pairs))}
+    for name, definition in loop_definitions(options).items():
+        score = score_loops(views, searched, pairs, definition)
         values = {
             "precision": score.precision,
             "recall": score.recall,
             "f1": score.f1,
             "recall_of_all": score.recall_of_all,
         }
-        metrics |= {
-            f"loop_{name}{suffix}_percent": None if value is None else 100.0 * value
-            for name, value in values.items()
+        metrics[name] = {
+            f"{key}_percent": None if value is None else 100.0 * value
+            for key, value in values.items()
         }
-        metrics[f"loops_searched_with_truth{suffix}"] = score.with_loop
-        metrics[f"loop_convention{suffix}"] = _convention(variant)
+        metrics[name]["searched_with_truth"] = score.with_loop
     return metrics
 
 
-def _convention(options: LoopTruthOptions) -> str:
+def loop_definitions(options: LoopTruthOptions | None = None) -> dict[str, LoopTruthOptions]:
+    """Definitions of a true loop by name.
+
+    "position" has no criterion of overlap, "intervals" compares intervals of 10 frames, and
+    "intervals_position" is G's definition.
+    """
+    overlap = options or LoopTruthOptions()
+    position = replace(overlap, min_overlap=0.0)
+    return {
+        "overlap": overlap,
+        "position": position,
+        "intervals": replace(overlap, interval=_G_INTERVAL),
+        "intervals_position": replace(position, interval=_G_INTERVAL),
+    }
+
+
+def loop_convention(options: LoopTruthOptions) -> str:
+    """Describe a definition of a true loop."""
     percent = 100.0 * options.min_overlap
     intervals = f"two intervals of {options.interval} frames, all pairs of them"
     return _CONVENTION.format(

@@ -82,13 +82,13 @@ class MeshQuality:
         cosines = (self.accuracy_cosines.mean() + self.completion_cosines.mean()) / 2
         complete = (self.completion_m <= _COMPLETION_CM / 100).mean()
         return {
-            "mesh_accuracy_cm": 100 * float(self.accuracy_m.mean()),
-            "mesh_completion_cm": 100 * float(self.completion_m.mean()),
-            "mesh_completion_ratio_percent": 100 * float(complete),
-            **{f"mesh_f_score_{cm}cm_percent": 100 * self.f_score(cm / 100) for cm in _F_SCORES_CM},
-            "mesh_normal_consistency": float(cosines),
-            "mesh_observed_percent": 100 * self.observed,
-            "mesh_convention": (
+            "accuracy_cm": 100 * float(self.accuracy_m.mean()),
+            "completion_cm": 100 * float(self.completion_m.mean()),
+            "completion_ratio_percent": 100 * float(complete),
+            **{f"f_score_{cm}cm_percent": 100 * self.f_score(cm / 100) for cm in _F_SCORES_CM},
+            "normal_consistency": float(cosines),
+            "observed_percent": 100 * self.observed,
+            "convention": (
                 f"mesh fused from renders with voxels of {1000 * voxel_m:g} mm; {SAMPLES} samples "
                 "per mesh by area, distances to the nearest point of the other mesh (means); "
                 f"completion ratio within {_COMPLETION_CM} cm; only the part of the true mesh that "

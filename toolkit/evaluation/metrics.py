@@ -1,4 +1,4 @@
-"""Metrics of a run as a flat dictionary with units and conventions.
+"""Metrics of a run as nested dictionaries, one for each subject, with units and conventions.
 
 Published results differ in alignment, masks and the variant of SSIM, so each group of metrics
 includes its convention. A metric that is not available is None (null in the file), never 0.
@@ -12,6 +12,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,19 +33,18 @@ from toolkit.io import atomic
 from toolkit.stages import Column
 
 MetricValue = float | int | str | None
-Metrics = dict[str, MetricValue]
+# Values are of type MetricValue or Metrics.
+Metrics = dict[str, Any]
 
 IMAGE_CONVENTIONS: Metrics = {
-    "psnr_convention": "mean of per-view dB over all pixels, at most 100 dB a view; measured and "
-    "inferred: over the pixels with and without measured depth, of the views that have any; "
-    "one_gain: without the white balance that the run estimated for the view; per_channel: after "
-    "fitting one gain per channel",
-    "ssim_convention": "11x11 Gaussian window of sigma 1.5, data range 1, mirrored border",
-    "ms_ssim_convention": "5 scales; null where the shorter side is below 176 pixels",
-    "lpips_convention": "AlexNet, version 0.1; null without --lpips-weights, and for images below "
-    "31 pixels a side",
-    "depth_l1_convention": "mean over views of the mean over pixels with measured and rendered "
-    "depth",
+    "psnr": "mean of per-view dB over all pixels, at most 100 dB a view; measured and inferred: "
+    "over the pixels with and without measured depth, of the views that have any; one_gain: "
+    "without the white balance that the run estimated for the view; per_channel: after fitting one "
+    "gain per channel",
+    "ssim": "11x11 Gaussian window of sigma 1.5, data range 1, mirrored border",
+    "ms_ssim": "5 scales; null where the shorter side is below 176 pixels",
+    "lpips": "AlexNet, version 0.1; null without --lpips-weights, and for images below 31 pixels a "
+    "side",
 }
 
 
@@ -53,7 +53,6 @@ class ViewQuality:
     """Image and depth quality of one rendered view; None where a metric is not available.
 
     Attributes:
-        frame_index: index of the view's frame.
         psnr_db: over all pixels, in dB.
         psnr_measured_db, psnr_inferred_db: over the pixels with and without measured depth.
         psnr_one_gain_db: over all pixels, rendered at the gain and bias of the view only, without
@@ -64,7 +63,6 @@ class ViewQuality:
         depth_coverage: fraction of the pixels with measured depth that were compared, in [0, 1].
     """
 
-    frame_index: int
     psnr_db: float
     ssim: float | None
     ms_ssim: float | None
@@ -82,9 +80,7 @@ class RunCosts:
     """Total times and memory of a run; None where not measured.
 
     Attributes:
-        frames: number of processed frames.
-        frames_lost: number of frames without a pose.
-        keyframes, gaussians: numbers in the final map.
+        frames: number of frames of the sequence.
         columns_ms: total time of each column over all frames, in milliseconds.
         refinement_ms: time of the refinement after them.
         online_ms: wall-clock time of the loop over all frames: the columns, waiting for images,
@@ -95,9 +91,6 @@ class RunCosts:
     """
 
     frames: int
-    frames_lost: int
-    keyframes: int
-    gaussians: int
     columns_ms: Mapping[Column, float]
     refinement_ms: float | None
     online_ms: float | None
@@ -107,7 +100,6 @@ class RunCosts:
 
 
 def view_quality(
-    frame_index: int,
     rendered: tuple[NDArray[np.float32], NDArray[np.float32]],
     measured: tuple[NDArray[np.float32], NDArray[np.float32]],
     lpips: Lpips | None = None,
@@ -115,7 +107,6 @@ def view_quality(
     """Evaluate one view.
 
     Args:
-        frame_index: index of the view's frame.
         rendered: colour [H, W, 3] in [0, 1] and surface depth [H, W] in metres, 0 where no
             surface was rendered.
         measured: colour and depth of the frame, depth 0 where missing.
@@ -129,7 +120,6 @@ def view_quality(
     depth = depth_l1(depth_m, measured_depth_m)
     similarity, multi_scale = ssim_and_ms_ssim(rgb, true_rgb)
     return ViewQuality(
-        frame_index=frame_index,
         psnr_db=psnr_db(rgb, true_rgb),
         ssim=similarity,
         ms_ssim=multi_scale,
@@ -150,78 +140,81 @@ def trajectory_metrics(
     Raises:
         DatasetError: there is ground truth, but no poses can be associated in time.
     """
-    convention: Metrics = {
-        "ate_alignment": alignment,
-        "ate_max_time_difference_s": MAX_TIME_DIFFERENCE_S,
-        "rpe_delta_frames": 1,
-        "rpe_convention": "root mean square over steps between neighbouring tracked frames",
-    }
     keys = ("ate_rmse_cm", "ate_mean_cm", "ate_median_cm", "ate_max_cm", "ate_pairs")
     rpe_keys = ("rpe_translation_cm", "rpe_rotation_deg")
+    metrics: Metrics = dict.fromkeys((*keys, *rpe_keys)) | {
+        "alignment": alignment,
+        "convention": f"tracked frames with ground truth within {MAX_TIME_DIFFERENCE_S:g} s; RPE: "
+        "root mean square over steps between neighbouring ones",
+    }
     if truth is None or len(truth) == 0 or len(estimate) == 0:
-        return convention | dict.fromkeys((*keys, *rpe_keys))
+        return metrics
     ate = absolute_trajectory_error(estimate, truth, alignment)
     metres = (ate.rmse_m, ate.mean_m, ate.median_m, ate.max_m)
-    values: Metrics = dict(zip(keys, (*(100.0 * m for m in metres), ate.pairs), strict=True))
+    metrics |= zip(keys, (*(100.0 * m for m in metres), ate.pairs), strict=True)
     if alignment == "sim3":
         estimate = ate.alignment.applied_to(estimate)
-        values["ate_scale"] = ate.alignment.scale
+        metrics["scale"] = ate.alignment.scale
     rpe = relative_pose_error(estimate, truth)
-    values["rpe_translation_cm"] = 100.0 * rpe.translation_rmse_m if rpe else None
-    values["rpe_rotation_deg"] = rpe.rotation_rmse_deg if rpe else None
-    return convention | values
+    if rpe is not None:
+        metrics["rpe_translation_cm"] = 100.0 * rpe.translation_rmse_m
+        metrics["rpe_rotation_deg"] = rpe.rotation_rmse_deg
+    return metrics
 
 
-def image_metrics(views: Sequence[ViewQuality], suffix: str = "") -> Metrics:
-    """Compute means over views: `psnr{suffix}_db`, `ssim{suffix}` etc.
+def image_metrics(views: Sequence[ViewQuality]) -> Metrics:
+    """Compute means over a group of views; None without views."""
+    names = (
+        *("psnr_db", "psnr_measured_db", "psnr_inferred_db", "psnr_one_gain_db"),
+        *("psnr_per_channel_db", "ssim", "ms_ssim", "lpips"),
+    )
+    means = {name: mean_or_none([getattr(view, name) for view in views]) for name in names}
+    return {"views": len(views), **means}
 
-    Args:
-        views: views of one group; all means are None without views.
-        suffix: "" for mapped views, "_unseen" for views excluded from mapping.
-    """
-    depth_l1_m = mean_or_none([view.depth_l1_m for view in views])
+
+def depth_metrics(views: Sequence[ViewQuality]) -> Metrics:
+    """Compute means over a group of views; None without views."""
+    l1_m = mean_or_none([view.depth_l1_m for view in views])
     coverage = mean_or_none([view.depth_coverage for view in views])
     return {
-        f"views{suffix}": len(views),
-        f"psnr{suffix}_db": mean_or_none([view.psnr_db for view in views]),
-        **{
-            f"psnr{suffix}_{kind}_db": mean_or_none([getattr(v, f"psnr_{kind}_db") for v in views])
-            for kind in ("measured", "inferred", "one_gain", "per_channel")
-        },
-        f"ssim{suffix}": mean_or_none([view.ssim for view in views]),
-        f"ms_ssim{suffix}": mean_or_none([view.ms_ssim for view in views]),
-        f"lpips{suffix}": mean_or_none([view.lpips for view in views]),
-        f"depth_l1{suffix}_cm": None if depth_l1_m is None else 100.0 * depth_l1_m,
-        f"depth_coverage{suffix}_percent": None if coverage is None else 100.0 * coverage,
+        "l1_cm": None if l1_m is None else 100.0 * l1_m,
+        "coverage_percent": None if coverage is None else 100.0 * coverage,
     }
 
 
 def cost_metrics(costs: RunCosts) -> Metrics:
-    """Return counts, mean times per frame and memory.
+    """Return mean times per frame and memory.
 
     The columns and `other_ms_per_frame` add up to `online_ms_per_frame`.
     """
     known_ms = sum(costs.columns_ms.values())
-    per_frame: dict[str, float | None] = {
-        f"{column}_ms_per_frame": ms for column, ms in costs.columns_ms.items()
-    }
-    per_frame |= {
-        "other_ms_per_frame": None if costs.online_ms is None else costs.online_ms - known_ms,
-        "refinement_ms_per_frame": costs.refinement_ms,
-        "online_ms_per_frame": costs.online_ms,
-        "total_ms_per_frame": costs.total_ms,
+    total_ms: dict[str, float | None] = {str(name): ms for name, ms in costs.columns_ms.items()}
+    total_ms |= {
+        "other": None if costs.online_ms is None else costs.online_ms - known_ms,
+        "refinement": costs.refinement_ms,
+        "online": costs.online_ms,
+        "total": costs.total_ms,
     }
     frames = max(costs.frames, 1)
-    return {
-        "frames": costs.frames,
-        "frames_lost": costs.frames_lost,
-        "keyframes": costs.keyframes,
-        "gaussians": costs.gaussians,
-        **{key: None if total is None else total / frames for key, total in per_frame.items()},
-        "timing_convention": "total over all frames divided by the number of frames",
-        "peak_memory_mb": costs.peak_memory_mb,
-        "map_mb": costs.map_mb,
+    per_frame = {
+        f"{name}_ms_per_frame": None if ms is None else ms / frames for name, ms in total_ms.items()
     }
+    convention = "total over all frames divided by the number of frames"
+    return {
+        "time": {**per_frame, "convention": convention},
+        "memory": {"peak_mb": costs.peak_memory_mb, "map_mb": costs.map_mb},
+    }
+
+
+def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the values of nested dictionaries by dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= flattened(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
 
 
 def write_metrics(path: str | os.PathLike[str], metrics: Metrics) -> None:
@@ -230,12 +223,15 @@ def write_metrics(path: str | os.PathLike[str], metrics: Metrics) -> None:
     Raises:
         RunFolderError: the file cannot be written.
     """
-    finite = {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in metrics.items()
-    }
-    text = json.dumps(finite, indent=2, sort_keys=True, allow_nan=False)
+    text = json.dumps(_finite(metrics), indent=2, sort_keys=True, allow_nan=False)
     atomic.write_bytes(path, (text + "\n").encode())
+
+
+def _finite(value: Any) -> Any:
+    """The value, or nested dictionaries, with None for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def read_metrics(path: str | os.PathLike[str]) -> Metrics:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any
@@ -19,7 +19,7 @@ from toolkit.evaluation.charts import Axes, Series, line_chart
 from toolkit.evaluation.frame_costs import FrameCosts, memory_chart, time_chart
 from toolkit.evaluation.frame_states import FrameState, ranges
 from toolkit.evaluation.loop_gallery import LoopPicture
-from toolkit.evaluation.metrics import Metrics
+from toolkit.evaluation.metrics import Metrics, MetricValue, flattened
 from toolkit.evaluation.submap_graph import SubmapGraph, submap_graph_chart
 from toolkit.evaluation.timing import StageTime
 from toolkit.evaluation.trajectory import (
@@ -40,19 +40,19 @@ _JPEG_QUALITY = 88
 # Entries of the legend below the classes of a view.
 _LEGEND_ENTRIES = 5
 
-# Title, key, decimals and unit of the metrics at the top of the page.
+# Title, dotted key, decimals and unit of the metrics at the top of the page.
 _HEADLINES = (
-    ("ATE RMSE", "ate_rmse_cm", 2, "cm"),
-    ("rotation drift", "rpe_rotation_deg", 3, "deg a frame"),
-    ("loop edges right", "loop_edges_right_percent", 1, "%"),
-    ("PSNR, mapped views", "psnr_db", 2, "dB"),
-    ("PSNR, unseen views", "psnr_unseen_db", 2, "dB"),
-    ("depth L1", "depth_l1_cm", 2, "cm"),
-    ("tracking", "tracking_ms_per_frame", 0, "ms a frame"),
-    ("mapping", "mapping_ms_per_frame", 0, "ms a frame"),
-    ("Gaussians", "gaussians", 0, ""),
-    ("peak memory", "peak_memory_mb", 0, "MB"),
-    ("frames lost", "frames_lost", 0, ""),
+    ("ATE RMSE", "trajectory.ate_rmse_cm", 2, "cm"),
+    ("rotation drift", "trajectory.rpe_rotation_deg", 3, "deg a frame"),
+    ("loop edges right", "loops.edges.right_percent", 1, "%"),
+    ("PSNR, mapped views", "images.mapped.psnr_db", 2, "dB"),
+    ("PSNR, unseen views", "images.unseen.psnr_db", 2, "dB"),
+    ("depth L1", "depth.mapped.l1_cm", 2, "cm"),
+    ("tracking", "time.tracking_ms_per_frame", 0, "ms a frame"),
+    ("mapping", "time.mapping_ms_per_frame", 0, "ms a frame"),
+    ("Gaussians", "map.gaussians", 0, ""),
+    ("peak memory", "memory.peak_mb", 0, "MB"),
+    ("frames lost", "frames.lost", 0, ""),
 )
 
 
@@ -187,28 +187,29 @@ def render_report(content: ReportContent) -> str:
     error = None
     if has_truth and content.truth is not None:
         error = absolute_trajectory_error(content.estimate, content.truth, content.alignment)
+    metrics = flattened(content.metrics)
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = resources.files(__package__).joinpath("report_template.html").read_text("utf-8")
     return environment.from_string(template).render(
         content=content,
-        headlines=_headlines(content.metrics),
+        headlines=_headlines(metrics),
         path_chart=_trajectory_chart(content, error),
         error_chart=_error_chart(content, error),
         delay_chart=content.delays and _delay_chart(content.delays),
         stages=_stages(content.stage_times),
         views=[_embedded(view) for view in content.views],
-        memory=_memory(content.metrics),
+        memory=_memory(metrics),
         states=ranges(content.states),
         loops=[_loop(picture) for picture in content.loops],
         submap_graph=content.submaps and submap_graph_chart(content.submaps),
         time_chart=content.costs and time_chart(content.costs),
         memory_chart=content.costs and memory_chart(content.costs),
         plan=None if content.floor_plan is None else _data_url(content.floor_plan.image),
-        all_metrics=[(key, _text(value)) for key, value in sorted(content.metrics.items())],
+        all_metrics=[(key, _text(value)) for key, value in sorted(metrics.items())],
     )
 
 
-def _headlines(metrics: Metrics) -> list[dict[str, str]]:
+def _headlines(metrics: Mapping[str, MetricValue]) -> list[dict[str, str]]:
     headlines = []
     for title, key, digits, unit in _HEADLINES:
         value = metrics.get(key)
@@ -216,7 +217,7 @@ def _headlines(metrics: Metrics) -> list[dict[str, str]]:
             headlines.append({"title": title, "value": f"{value:,.{digits}f}", "unit": unit})
         else:
             headlines.append({"title": title, "value": "n/a", "unit": ""})
-    doubtful = metrics.get("frames_doubtful")
+    doubtful = metrics.get("frames.doubtful")
     if isinstance(doubtful, int) and doubtful > 0:
         headlines[-1]["unit"] = f"and {doubtful:,} doubtful"
     return headlines
@@ -287,20 +288,20 @@ def _stages(stage_times: Sequence[StageTime]) -> list[dict[str, Any]]:
     ]
 
 
-def _memory(metrics: Metrics) -> list[tuple[str, str]]:
+def _memory(metrics: Mapping[str, MetricValue]) -> list[tuple[str, str]]:
     """Return the rows of the memory table."""
     rows = [
-        ("peak of the process", _with_unit(metrics.get("peak_memory_mb"), "MB")),
-        ("parameters of the map", _with_unit(metrics.get("map_mb"), "MB")),
+        ("peak of the process", _megabytes(metrics.get("memory.peak_mb"))),
+        ("parameters of the map", _megabytes(metrics.get("memory.map_mb"))),
     ]
-    map_mb, gaussians = metrics.get("map_mb"), metrics.get("gaussians")
+    map_mb, gaussians = metrics.get("memory.map_mb"), metrics.get("map.gaussians")
     if isinstance(map_mb, (int, float)) and isinstance(gaussians, int) and gaussians > 0:
         rows.append(("a Gaussian", f"{1e6 * map_mb / gaussians:.0f} bytes"))
     return rows
 
 
-def _with_unit(value: Any, unit: str) -> str:
-    return f"{value:,.1f} {unit}" if isinstance(value, (int, float)) else "n/a"
+def _megabytes(value: MetricValue) -> str:
+    return f"{value:,.1f} MB" if isinstance(value, (int, float)) else "n/a"
 
 
 def _text(value: Any) -> str:

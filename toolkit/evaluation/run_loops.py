@@ -10,7 +10,13 @@ import numpy as np
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.evaluation.loop_poses import edge_errors, edge_metrics
-from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, loop_metrics
+from toolkit.evaluation.loops import (
+    LoopTruthOptions,
+    TrueViews,
+    loop_convention,
+    loop_definitions,
+    loop_metrics,
+)
 from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.options import TruthErrorOptions
 from toolkit.geometry.frustum import far_depth_m, observed_points
@@ -39,8 +45,9 @@ def run_loop_metrics(
         own: error of the ground truth itself; none by default.
 
     Returns:
-        Metrics by name; "_suspected" for candidates selected by descriptors and landmarks, before
-        verification. Empty if no loops were searched or there is no ground truth.
+        Metrics of the "edges" by pose, and by overlap of the views those of the "verified" pairs
+        and of the pairs "suspected" by descriptors and landmarks, before verification. Empty if no
+        loops were searched or there is no ground truth.
     """
     # Frames of a loaded map have negative indices and no ground truth in this dataset.
     records = [r for r in records if r.get("match", 0) >= 0]
@@ -56,17 +63,15 @@ def run_loop_metrics(
     candidates = [
         (r["query"], r["match"]) for r in records if r["kind"] == "candidate" and r["accepted"]
     ]
-    candidate_metrics = loop_metrics(views, searched, candidates, options)
     assert views.timestamps_s is not None
     errors = edge_errors(posed_edges(records), views.T_world_camera, views.timestamps_s, own)
+    definitions = loop_definitions(options)
     return {
-        **edge_metrics(errors, own),
-        **loop_metrics(views, searched, verified, options),
-        **{
-            f"{name.removesuffix('_percent')}_suspected_percent": value
-            for name, value in candidate_metrics.items()
-            if name.endswith("_percent")
-        },
+        "searched": len(set(searched)),
+        "edges": edge_metrics(errors, own),
+        "verified": loop_metrics(views, searched, verified, options),
+        "suspected": loop_metrics(views, searched, candidates, options),
+        "conventions": {name: loop_convention(each) for name, each in definitions.items()},
     }
 
 

@@ -26,11 +26,12 @@ from toolkit.evaluation.metrics import (
     IMAGE_CONVENTIONS,
     Metrics,
     ViewQuality,
+    depth_metrics,
     image_metrics,
     trajectory_metrics,
     view_quality,
 )
-from toolkit.evaluation.semantic_views import SemanticEvaluation, SemanticScores
+from toolkit.evaluation.semantic_views import SemanticEvaluation, SemanticScores, semantic_metrics
 from toolkit.evaluation.trajectory import (
     AlignmentKind,
     TrajectoryAlignment,
@@ -51,6 +52,11 @@ _log = logging.getLogger(__name__)
 
 # Minimum silhouette (0-1) of rendered pixels whose depth is evaluated.
 _MIN_SILHOUETTE = 0.5
+_DEPTH_CONVENTION = (
+    "mean over views of the mean over pixels with measured and rendered depth; rendered depth: "
+    "where the ray meets the surface through the weighted mean of centres, in pixels with "
+    f"silhouette at least {_MIN_SILHOUETTE}"
+)
 
 
 @dataclass(frozen=True)
@@ -130,10 +136,10 @@ def measure_run(
         options: evaluation options; defaults if absent.
 
     Returns:
-        A flat dictionary with units in the keys, None for metrics that are not available.
-        "unseen" are the held-out frames at their tracked poses and the views of `unseen` at
-        ground-truth poses transformed into the map. "unseen_refined" are the same views with each
-        pose refined on the final map.
+        The groups "trajectory", "images", "depth", "semantics" and "map"; None for metrics that
+        are not available. Groups of views are "mapped"; "unseen", the held-out frames at their
+        tracked poses and the views of `unseen` at ground-truth poses transformed into the map; and
+        "unseen_refined", the same views with each pose refined on the final map.
 
     Raises:
         DatasetError: a frame cannot be read, or no estimated pose can be associated with the
@@ -148,36 +154,37 @@ def measure_run(
     mapped = [frame for frame in tracked if not frame.held_out]
     held_out = [frame for frame in tracked if frame.held_out]
 
-    scores = [
-        SemanticScores(options.semantics, suffix) for suffix in ("", "_unseen", "_unseen_refined")
-    ]
+    qualities: dict[str, list[ViewQuality]] = {"mapped": [], "unseen": [], "unseen_refined": []}
+    scores = {group: SemanticScores(options.semantics) for group in qualities}
     alignment = map_alignment(estimate, truth, options.alignment)
     scale = 1.0 if alignment is None else alignment.scale
-    mapped_quality = [
-        _quality(scene, view, options, scores[0], scale)
-        for view in _tracked_views(mapped, tracked, dataset, options.max_views)
-    ]
-    unseen_quality, refined_quality = [], []
+
+    def measure(group: str, view: EvaluatedView) -> None:
+        qualities[group].append(_quality(scene, view, options, scores[group], scale))
+
+    for view in _tracked_views(mapped, tracked, dataset, options.max_views):
+        measure("mapped", view)
     depth_views: list[DepthView] = []
     tracker = DenseTracker(backend_name=options.backend_name)
     seen = _tracked_views(held_out, tracked, dataset, options.max_views)
     for view in chain(seen, _unseen_views(unseen, alignment, options.max_views)):
-        unseen_quality.append(_quality(scene, view, options, scores[1], scale))
+        measure("unseen", view)
         if len(depth_views) < min(len(held_out), options.max_views):  # held-out frames come first
             depth_views.append(_depth_view(view, scale))
-        refined = _refined(view, scene, tracker, scale)
-        refined_quality.append(_quality(scene, refined, options, scores[2], scale))
+        measure("unseen_refined", _refined(view, scene, tracker, scale))
 
+    images = {group: image_metrics(views) for group, views in qualities.items()}
+    depth = {group: depth_metrics(views) for group, views in qualities.items()}
     return {
-        **trajectory_metrics(estimate, truth, options.alignment),
-        **image_metrics(mapped_quality),
-        **image_metrics(unseen_quality, "_unseen"),
-        **image_metrics(refined_quality, "_unseen_refined"),
-        **{name: value for score in scores for name, value in score.metrics().items()},
-        **free_space_metrics(scene, depth_views),
-        **_surface_metrics(scene, options.mesh, alignment),
-        **IMAGE_CONVENTIONS,
-        **_view_conventions(options),
+        "trajectory": trajectory_metrics(estimate, truth, options.alignment),
+        "images": images | {"conventions": IMAGE_CONVENTIONS | _view_conventions(options)},
+        "depth": depth | {"convention": _DEPTH_CONVENTION},
+        **semantic_metrics(scores, options.semantics),
+        "map": {
+            "gaussians": len(scene),
+            "free_space": free_space_metrics(scene, depth_views),
+            **_surface_metrics(scene, options.mesh, alignment),
+        },
     }
 
 
@@ -201,20 +208,12 @@ def open_unseen(kind: str, path: Path, image_size: tuple[int, int] | None = None
 def _view_conventions(options: MeasureOptions) -> Metrics:
     most = f"at most {options.max_views} of each group, evenly spaced"
     return {
-        "views_convention": f"tracked frames that were not held out, {most}",
-        "views_unseen_convention": (
-            "held-out frames at their tracked poses, and views of unseen/ at true poses "
-            f"carried into the map by the alignment ({options.alignment}), {most}"
-        ),
-        "views_unseen_refined_convention": "the same views, each pose refined on the final map",
-        "depth_convention": (
-            "where the ray meets the surface through the weighted mean of centres; "
-            f"pixels with silhouette at least {_MIN_SILHOUETTE}"
-        ),
-        "exposure_convention": (
-            "renders are brought to each view's exposure, a gain and a bias, as tracking found it, "
-            "and to its white balance, as the run estimated it"
-        ),
+        "mapped": f"tracked frames that were not held out, {most}",
+        "unseen": "held-out frames at their tracked poses, and views of unseen/ at true poses "
+        f"carried into the map by the alignment ({options.alignment}), {most}",
+        "unseen_refined": "the same views, each pose refined on the final map",
+        "exposure": "renders are brought to each view's exposure, a gain and a bias, as tracking "
+        "found it, and to its white balance, as the run estimated it",
     }
 
 
@@ -275,7 +274,7 @@ def _surface_metrics(
     # The thickness of walls is a length: without a scale there is none.
     if mesh is None or alignment is None or alignment.scale != 1.0:
         return {}
-    return wall_thickness(scene, mesh, alignment.T_world_map).metrics()
+    return {"walls": wall_thickness(scene, mesh, alignment.T_world_map).metrics()}
 
 
 def _depth_view(view: EvaluatedView, scale: float) -> DepthView:
@@ -330,7 +329,6 @@ def _quality(
         as_exposed(image, depth_m, view.frame, view.velocity) for image in (colour, one_gain)
     )
     quality = view_quality(
-        view.frame.index,
         (colour, depth_m),
         (view.frame.rgb, view.frame.depth_m),
         options.lpips,

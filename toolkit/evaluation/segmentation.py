@@ -24,25 +24,25 @@ from toolkit.semantics.taxonomy import VOID, Taxonomy
 
 Counts = NDArray[np.int64]
 
-_CONVENTIONS: Metrics = {
-    "miou_convention": (
+SEGMENTATION_CONVENTIONS: Metrics = {
+    "miou": (
         "one confusion matrix over all views; pixels whose truth is void are left out, "
         "predicted void is a miss; mean over the classes of the truth; leaves of the tree "
         "unless a level is named"
     ),
-    "miou_union_convention": "the same, mean over classes that truth or prediction has",
-    "miou_with_void_convention": "the same with void as a class of its own, on all pixels",
-    "miou_per_view_convention": "mean over views of each view's own union mIoU, without void",
-    "miou_visible_convention": (
+    "miou_union": "the same, mean over classes that truth or prediction has",
+    "miou_with_void": "the same with void as a class of its own, on all pixels",
+    "miou_per_view": "mean over views of each view's own union mIoU, without void",
+    "miou_visible": (
         "mean over views of the mean IoU over the classes in the view's truth; wrongly "
         "predicted classes are no part of the mean"
     ),
-    "miou_subset_convention": (
+    "miou_subset": (
         "Hier-SLAM++'s 'subset': the same, with predictions decoded among the classes of the "
         "view's truth alone, which is impossible without the truth; null unless evaluated with "
         "--subset"
     ),
-    "fwiou_convention": "IoU weighted by each class's share of the true pixels",
+    "fwiou": "IoU weighted by each class's share of the true pixels",
 }
 
 
@@ -215,53 +215,45 @@ class Segmentation:
         return list(ids)
 
 
-def segmentation_metrics(result: Segmentation, suffix: str = "") -> Metrics:
-    """Compute all metrics in percent: `miou_percent`, `miou_level_0_percent` etc.
+def segmentation_metrics(result: Segmentation) -> Metrics:
+    """Compute all metrics of a group of views in percent, and a group for each level of the tree.
 
     Args:
-        result: predictions over all views of one group; all metrics are None without views.
-        suffix: "" for mapped views, "_unseen" for views excluded from mapping; placed before the
-            unit.
+        result: predictions over all views; all metrics are None without views.
     """
-    taxonomy = result.taxonomy
     finest = result.counts()
     leaf, with_void = score(finest), score(finest, with_void=True)
-    per_view = [view.miou[-1] for view in result.views]
-    values: dict[str, float | None] = {
-        "miou": leaf.miou,
-        "miou_union": leaf.miou_union,
-        "accuracy": leaf.accuracy,
-        "fwiou": leaf.fwiou,
-        "miou_with_void": with_void.miou,
-        "accuracy_with_void": with_void.accuracy,
-        "fwiou_with_void": with_void.fwiou,
-        "miou_per_view": mean_or_none(per_view),
-        "miou_visible": mean_or_none([view.visible for view in result.views]),
-        "miou_subset": mean_or_none([view.subset for view in result.views]),
-        "labelled": leaf.pixels / finest.sum() if finest.any() else None,
-    }
-    for level in range(taxonomy.depth):
-        at_level = score(result.counts(level))
-        values[f"miou_level_{level}"] = at_level.miou
-        values[f"accuracy_level_{level}"] = at_level.accuracy
-        values[f"miou_per_view_level_{level}"] = mean_or_none(
-            [view.miou[level] for view in result.views]
-        )
-    percent: Metrics = {
-        f"{name}{suffix}_percent": None if value is None else 100.0 * value
-        for name, value in values.items()
-    }
     return {
-        **percent,
-        f"views_labelled{suffix}": len(result.views),
-        f"classes_scored{suffix}": leaf.classes,
+        **_percent(
+            miou=leaf.miou,
+            miou_union=leaf.miou_union,
+            accuracy=leaf.accuracy,
+            fwiou=leaf.fwiou,
+            miou_with_void=with_void.miou,
+            accuracy_with_void=with_void.accuracy,
+            fwiou_with_void=with_void.fwiou,
+            miou_per_view=mean_or_none([view.miou[-1] for view in result.views]),
+            miou_visible=mean_or_none([view.visible for view in result.views]),
+            miou_subset=mean_or_none([view.subset for view in result.views]),
+            labelled=leaf.pixels / finest.sum() if finest.any() else None,
+        ),
+        "views": len(result.views),
+        "classes": leaf.classes,
+        **{f"level_{n}": _level_metrics(result, n) for n in range(result.taxonomy.depth)},
     }
 
 
-def segmentation_conventions(taxonomy: Taxonomy) -> Metrics:
-    """Return the definitions of the metrics and the names of the taxonomy's levels."""
-    names: Metrics = {f"level_{number}_name": name for number, name in enumerate(taxonomy.levels)}
-    return _CONVENTIONS | names
+def _level_metrics(result: Segmentation, level: int) -> Metrics:
+    at_level = score(result.counts(level))
+    per_view = mean_or_none([view.miou[level] for view in result.views])
+    return _percent(miou=at_level.miou, accuracy=at_level.accuracy, miou_per_view=per_view)
+
+
+def _percent(**fractions: float | None) -> Metrics:
+    return {
+        f"{name}_percent": None if fraction is None else 100.0 * fraction
+        for name, fraction in fractions.items()
+    }
 
 
 def _check_ids(name: str, ids: NDArray[np.integer], low: int, high: int) -> None:

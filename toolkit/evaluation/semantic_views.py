@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from toolkit.evaluation.calibration import Calibration, calibration_metrics
 from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.segmentation import (
+    SEGMENTATION_CONVENTIONS,
     Segmentation,
-    segmentation_conventions,
     segmentation_metrics,
     visible_classes,
 )
@@ -53,13 +53,11 @@ class SemanticScores:
 
     Args:
         evaluation: decoder and class names, or None for a map without semantics.
-        suffix: suffix of the metrics' names, as in `segmentation_metrics`.
     """
 
-    def __init__(self, evaluation: SemanticEvaluation | None, suffix: str = "") -> None:
+    def __init__(self, evaluation: SemanticEvaluation | None) -> None:
         comparable = evaluation is not None and evaluation.comparable
         self._evaluation = evaluation if comparable else None
-        self._suffix = suffix
         if self._evaluation is not None:
             self._table = self._evaluation.taxonomy.relabelling(self._evaluation.truth_names)
             self._segmentation = Segmentation(self._evaluation.taxonomy)
@@ -86,9 +84,8 @@ class SemanticScores:
         if self._evaluation is None or not self._segmentation.views:
             return {}
         return {
-            **segmentation_metrics(self._segmentation, self._suffix),
-            **calibration_metrics(self.calibration, self._suffix),
-            **segmentation_conventions(self._evaluation.taxonomy),
+            **segmentation_metrics(self._segmentation),
+            **calibration_metrics(self.calibration),
         }
 
     def _subset(self, truth: NDArray[np.int32], rendered: SurfaceView) -> NDArray[np.int32] | None:
@@ -104,3 +101,17 @@ class SemanticScores:
         """Map dataset labels to class ids of the taxonomy; ids without a name are void."""
         named = (labels >= 0) & (labels < len(self._table))
         return np.maximum(self._table[np.where(named, labels, 0)], 0)
+
+
+def semantic_metrics(
+    scores: Mapping[str, SemanticScores], evaluation: SemanticEvaluation | None
+) -> Metrics:
+    """Return the group "semantics", with a group for each group of views that has labels.
+
+    It is missing without semantics or labelled views.
+    """
+    by_views = {group: metrics for group, score in scores.items() if (metrics := score.metrics())}
+    if evaluation is None or not by_views:
+        return {}
+    names = {f"level_{number}": name for number, name in enumerate(evaluation.taxonomy.levels)}
+    return {"semantics": {**by_views, "levels": names, "conventions": SEGMENTATION_CONVENTIONS}}

@@ -18,22 +18,20 @@ class StageTime:
         stage: name of the stage; stages may be nested.
         calls: number of calls.
         total_s: total time of all calls, in seconds.
-        median_ms, max_ms: time per call, in milliseconds.
+        median_ms: median time per call, in milliseconds.
     """
 
     stage: str
     calls: int
     total_s: float
     median_ms: float
-    max_ms: float
 
 
 class StageRecorder:
-    """A `Recorder` that stores every duration and every counted value."""
+    """A `Recorder` that stores every duration."""
 
     def __init__(self) -> None:
         self.durations_ms: dict[str, list[float]] = {}
-        self.counts: dict[str, list[float]] = {}
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -45,19 +43,10 @@ class StageRecorder:
             elapsed_ms = 1e3 * (time.perf_counter() - start)
             self.durations_ms.setdefault(stage, []).append(elapsed_ms)
 
-    def count(self, name: str, value: float) -> None:
-        """Store a value."""
-        self.counts.setdefault(name, []).append(float(value))
-
     def total_ms(self, *stages: str) -> float | None:
         """Return the total time of some stages in milliseconds, None if none of them ran."""
         durations = [d for stage in stages for d in self.durations_ms.get(stage, [])]
         return sum(durations) if durations else None
-
-    def median_ms(self, stage: str) -> float | None:
-        """Return the median time per call in milliseconds, None if the stage never ran."""
-        durations = self.durations_ms.get(stage)
-        return float(np.median(durations)) if durations else None
 
     def stage_times(self) -> list[StageTime]:
         """Return the times of all stages, sorted by decreasing total time."""
@@ -67,7 +56,6 @@ class StageRecorder:
                 calls=len(durations),
                 total_s=sum(durations) / 1e3,
                 median_ms=float(np.median(durations)),
-                max_ms=max(durations),
             )
             for stage, durations in self.durations_ms.items()
         ]

@@ -72,21 +72,15 @@ class AbsoluteTrajectoryError:
 
 @dataclass(frozen=True)
 class RelativePoseError:
-    """Drift over a fixed number of frames; independent of the alignment.
+    """Drift between neighbouring poses; independent of the alignment.
 
     Attributes:
-        delta_frames: interval in associated poses.
-        translation_rmse_m, translation_median_m: metres per interval.
-        rotation_rmse_deg, rotation_median_deg: degrees per interval.
-        pairs: number of intervals; they overlap if delta_frames > 1.
+        translation_rmse_m: metres per step.
+        rotation_rmse_deg: degrees per step.
     """
 
-    delta_frames: int
     translation_rmse_m: float
-    translation_median_m: float
     rotation_rmse_deg: float
-    rotation_median_deg: float
-    pairs: int
 
 
 def associate(
@@ -145,14 +139,13 @@ def absolute_trajectory_error(
     estimate: Trajectory,
     truth: Trajectory,
     kind: AlignmentKind = "se3",
-    max_difference_s: float = MAX_TIME_DIFFERENCE_S,
 ) -> AbsoluteTrajectoryError:
     """Compute the ATE of an estimate over the poses that are associated in time.
 
     Raises:
         DatasetError: no poses can be associated.
     """
-    estimate, truth = associate(estimate, truth, max_difference_s)
+    estimate, truth = associate(estimate, truth)
     if kind == "none":
         alignment = TrajectoryAlignment(np.eye(4))
     else:
@@ -172,44 +165,30 @@ def absolute_trajectory_error(
     )
 
 
-def relative_pose_error(
-    estimate: Trajectory,
-    truth: Trajectory,
-    delta_frames: int = 1,
-    max_difference_s: float = MAX_TIME_DIFFERENCE_S,
-) -> RelativePoseError | None:
-    """Compute the RPE over all intervals of `delta_frames` associated poses.
+def relative_pose_error(estimate: Trajectory, truth: Trajectory) -> RelativePoseError | None:
+    """Compute the RPE over all steps between neighbouring associated poses.
 
     Returns:
-        The error; None if the trajectory is shorter than one interval.
+        The error; None without two associated poses.
 
     Raises:
         DatasetError: no poses can be associated.
-        ValueError: delta_frames is below 1.
     """
-    if delta_frames < 1:
-        raise ValueError(f"delta_frames must be at least 1, got {delta_frames}")
-    estimate, truth = associate(estimate, truth, max_difference_s)
-    if len(estimate) <= delta_frames:
+    estimate, truth = associate(estimate, truth)
+    if len(estimate) < 2:
         return None
-    steps_true = _steps(truth.T_world_camera, delta_frames)
-    steps_estimated = _steps(estimate.T_world_camera, delta_frames)
-    difference = se3.inverse(steps_true) @ steps_estimated
+    difference = se3.inverse(_steps(truth.T_world_camera)) @ _steps(estimate.T_world_camera)
     translation_m = np.linalg.norm(difference[:, :3, 3], axis=1)
     rotation_deg = np.degrees(se3.rotation_angle_rad(difference[:, :3, :3]))
     return RelativePoseError(
-        delta_frames=delta_frames,
         translation_rmse_m=_root_mean_square(translation_m),
-        translation_median_m=float(np.median(translation_m)),
         rotation_rmse_deg=_root_mean_square(rotation_deg),
-        rotation_median_deg=float(np.median(rotation_deg)),
-        pairs=len(difference),
     )
 
 
-def _steps(T_world_camera: Array, delta_frames: int) -> Array:
-    """Return the motions [N - delta, 4, 4] from each pose to the one `delta_frames` later."""
-    return se3.inverse(T_world_camera[:-delta_frames]) @ T_world_camera[delta_frames:]
+def _steps(T_world_camera: Array) -> Array:
+    """Return the motions [N - 1, 4, 4] from each pose to the next one."""
+    return se3.inverse(T_world_camera[:-1]) @ T_world_camera[1:]
 
 
 def _root_mean_square(values: Array) -> float:

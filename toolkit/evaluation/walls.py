@@ -47,10 +47,10 @@ class WallThickness:
             (float(np.percentile(self.patches_m, p)) if known else None) for p in (50, 95)
         )
         return {
-            "wall_thickness_cm": None if median is None else 100.0 * median,
-            "wall_thickness_p95_cm": None if p95 is None else 100.0 * p95,
+            "thickness_cm": None if median is None else 100.0 * median,
+            "thickness_p95_cm": None if p95 is None else 100.0 * p95,
             "floaters_percent": 100.0 * self.floaters,
-            "wall_thickness_convention": WALL_CONVENTION,
+            "convention": WALL_CONVENTION,
         }
 
 

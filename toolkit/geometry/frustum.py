@@ -1,6 +1,6 @@
 """Camera frusta and their overlap.
 
-Overlap is estimated from sample points, taken either from a frustum or from observed surfaces.
+Overlap is estimated from sample points of observed surfaces.
 Occlusion is ignored: a wall between two cameras does not change their overlap.
 """
 
@@ -17,10 +17,10 @@ from toolkit.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 
-# With this number of samples the error of an overlap is below 1 %.
-SAMPLES = 2000
 # Near plane: the smaller of these, in metres, and as a share of the far plane.
 NEAR_M, _NEAR = 0.1, 0.1
+# Far plane where no depth is known, in metres.
+DEFAULT_FAR_M = 4.0
 # The farthest few percent of a depth image are noise or surfaces behind windows.
 _FAR_PERCENT = 95.0
 
@@ -47,7 +47,7 @@ class Frustum:
     camera: Camera
     T_world_camera: Array
     near_m: float = NEAR_M
-    far_m: float = 4.0
+    far_m: float = DEFAULT_FAR_M
 
     def __post_init__(self) -> None:
         if self.near_m == NEAR_M:
@@ -61,20 +61,6 @@ class Frustum:
         """Return a mask [...] of the points [..., 3] inside the frustum."""
         points = se3.transform_points(se3.inverse(self.T_world_camera), points_world_m)
         return in_view(self.camera, points, self.near_m, self.far_m)
-
-    def samples(self, count: int = SAMPLES) -> Array:
-        """Return points [count, 3] in the world, uniformly distributed in the frustum.
-
-        The points are deterministic (Halton sequence).
-        """
-        across, down, along = _halton(count).T
-        camera = self.camera
-        # The cross-section grows with z^2, so z^3 is uniformly distributed.
-        near, far = self.near_m**3, self.far_m**3
-        z = np.cbrt(near + along * (far - near))
-        x = (across * camera.width - 0.5 - camera.cx) / camera.fx * z
-        y = (down * camera.height - 0.5 - camera.cy) / camera.fy * z
-        return se3.transform_points(self.T_world_camera, np.stack([x, y, z], axis=-1))
 
 
 def in_view(
@@ -105,15 +91,6 @@ def contained_fraction(points_world_m: NDArray, frusta: Sequence[Frustum]) -> fl
     return 1.0 - len(outside) / count if count else 0.0
 
 
-def overlap(frustum: Frustum, others: Sequence[Frustum], samples: int = SAMPLES) -> float:
-    """Return the fraction of a frustum's volume inside the union of others, in [0, 1].
-
-    The overlap is not symmetric: a short frustum inside a long one is fully covered by it, but
-    not vice versa.
-    """
-    return contained_fraction(frustum.samples(samples), others)
-
-
 def observed_points(camera: Camera, depth_m: NDArray, count: int) -> Array:
     """Unproject a depth image on a regular grid of about `count` pixels.
 
@@ -130,26 +107,11 @@ def observed_points(camera: Camera, depth_m: NDArray, count: int) -> Array:
     return np.where(sparse[:, 2:] > 0, sparse, np.nan)
 
 
-def far_depth_m(depth_m: NDArray, default_m: float = 4.0) -> float:
+def far_depth_m(depth_m: NDArray) -> float:
     """Return the far plane of a depth image: the 95th percentile of its valid depths, metres.
 
     Args:
         depth_m: [H, W] or [P] z-depths; 0 or NaN where missing.
-        default_m: returned if no depth is valid.
     """
     measured = depth_m[np.isfinite(depth_m) & (depth_m > 0)]
-    return float(np.percentile(measured, _FAR_PERCENT)) if len(measured) else default_m
-
-
-def _halton(count: int) -> Array:
-    """Return points [count, 3] of the Halton sequence with bases 2, 3 and 5 in the unit cube."""
-    numbers = np.arange(1, count + 1)
-    columns = []
-    for base in (2, 3, 5):
-        rest, scale, value = numbers.copy(), 1.0 / base, np.zeros(count)
-        while rest.any():
-            value += scale * (rest % base)
-            rest //= base
-            scale /= base
-        columns.append(value)
-    return np.stack(columns, axis=1)
+    return float(np.percentile(measured, _FAR_PERCENT)) if len(measured) else DEFAULT_FAR_M

@@ -27,10 +27,8 @@ PathLike = str | os.PathLike[str]
 SUFFIXES = (".ply", ".splat", ".spz")
 # Other formats of splats, which are not read.
 FOREIGN_SUFFIXES = (".ksplat", ".sog", ".lcc", ".rad", ".splatv", ".glb", ".gltf", ".usdz")
-# A .spz file has the axes of its specification (x right, y up, z backward), or those of the .ply
-# file that some programs have written it from without converting it.
-SpzAxes = Literal["specified", "as-ply"]
-# Open3D converts neither when it reads nor when it writes.
+# A .spz file has the axes of its specification: x right, y up, z backward. Open3D does not convert
+# them, neither when it reads nor when it writes.
 _SPZ_AXES = np.array([1, -1, -1], np.float32)
 _SPZ_MAGIC, _FIRST_UNPACKED_SPZ = b"NGSP", 4
 # The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
@@ -264,15 +262,11 @@ def is_splat_file(path: PathLike) -> bool:
     return False
 
 
-def read_splats(path: PathLike, spz_axes: SpzAxes = "specified") -> Splats:
+def read_splats(path: PathLike) -> Splats:
     """Read a `.ply`, `.splat` or `.spz` file; columns are found by name.
 
     The radius of an anisotropic splat is the geometric mean of its axes. Spherical harmonics of
-    degree > 0 are dropped.
-
-    Args:
-        path: the file.
-        spz_axes: of a `.spz` file; those of its specification are converted to the axes of `.ply`.
+    degree > 0 are dropped. The axes of a `.spz` file are converted to those of `.ply`.
 
     Raises:
         DatasetError: the file is missing.
@@ -298,7 +292,7 @@ def read_splats(path: PathLike, spz_axes: SpzAxes = "specified") -> Splats:
             raise FormatError(
                 f"{path} is not a splat file, or is truncated: it has no {name}; write it again"
             )
-    if Path(path).suffix == ".spz" and spz_axes == "specified":
+    if Path(path).suffix == ".spz":
         columns["positions"] = columns["positions"] * _SPZ_AXES
         if "rot" in columns:
             columns["rot"] = columns["rot"] * np.array([1, 1, -1, -1], np.float32)

@@ -75,12 +75,6 @@ class FrameBuffer:
         with self._changed:
             return bool(self._frames) or self._ended
 
-    @property
-    def has_ended(self) -> bool:
-        """Whether the frames that are left are the last ones."""
-        with self._changed:
-            return self._ended
-
     def take(self, timeout_s: float) -> Delivery | None:
         """Take the oldest frame; wait for one if there is none.
 

@@ -25,7 +25,7 @@ from toolkit.live.options import LiveOptions
 from toolkit.live.record import LiveSummary
 from toolkit.live.system import LiveSlam
 from toolkit.pacing.paced import PacedSlam
-from toolkit.pacing.record import count_of
+from toolkit.pacing.record import count_of, delay_statistics
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.evaluation import load_lpips
@@ -256,11 +256,11 @@ def _stored(settings: RunSettings, count: int, failure: ToolkitError | None) -> 
 
 
 def _logged(summary: LiveSummary) -> LiveSummary:
-    metrics = summary.metrics()
-    if metrics["delay_median_ms"] is not None:
+    delays = delay_statistics(summary.delays)
+    if delays["delay_median_ms"] is not None:
         _log.info(
             "Delay from capture to pose: median %.0f ms, 95th percentile %.0f ms, maximum %.0f ms.",
-            *(metrics[f"delay_{name}_ms"] for name in ("median", "p95", "max")),
+            *(delays[f"delay_{name}_ms"] for name in ("median", "p95", "max")),
         )
     level = logging.WARNING if summary.dropped else logging.INFO
     _log.log(

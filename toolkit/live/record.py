@@ -48,19 +48,19 @@ class LiveSummary:
         return (len(self.delays) - 1) / duration_s if duration_s > 0 else None
 
     def metrics(self) -> Metrics:
-        """Entries of metrics.json, with units in the keys."""
-        paced: Metrics = {} if self.pace is None else self.pace.metrics()
-        return paced | {
+        """Groups "live" and "pace" of metrics.json, with units in the keys."""
+        metrics: Metrics = {
             "camera": self.camera,
             "frames_captured": len(self.delays),
             "frames_dropped": self.dropped,
             "captured_fps": self.captured_fps,
             **delay_statistics(self.delays),
-            "live_convention": "delay from the capture of a frame to its pose, without dropped "
-            "frames; dropped frames of a dataset, and frames that --pace drops, are scored at the "
-            "last pose before them; other dropped frames of a camera are not scored; these "
-            "results depend on the speed of the machine and are not reproducible",
+            "convention": "delay from the capture of a frame to its pose, without dropped frames; "
+            "dropped frames of a dataset, and frames that --pace drops, are scored at the last "
+            "pose before them; other dropped frames of a camera are not scored; these results "
+            "depend on the speed of the machine and are not reproducible",
         }
+        return {"live": metrics} | ({} if self.pace is None else self.pace.metrics())
 
     def csv(self) -> str:
         """Table of the delays, one row per captured frame."""

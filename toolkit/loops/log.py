@@ -20,18 +20,15 @@ class LoopLog:
 
     Args:
         path: log file, created if missing.
-        keep_bytes: truncate the file to this size first, its size at a checkpoint; None keeps
-            all of it.
         convert: applied to every record; by default none is changed.
 
     Raises:
-        RunFolderError: the file cannot be written or is shorter than `keep_bytes`.
+        RunFolderError: the file cannot be written.
     """
 
     def __init__(
         self,
         path: str | os.PathLike[str],
-        keep_bytes: int | None = None,
         convert: Callable[[Mapping[str, Any]], dict[str, Any]] = dict,
     ) -> None:
         self._path, self._convert = Path(path), convert
@@ -40,8 +37,6 @@ class LoopLog:
                 self._size = stream.tell()
         except OSError as error:
             raise cannot_write(self._path, error) from error
-        if keep_bytes is not None:
-            self.truncate(keep_bytes)
 
     @property
     def size_bytes(self) -> int:

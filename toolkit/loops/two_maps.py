@@ -24,6 +24,11 @@ Array = NDArray[np.float64]
 _KEYFRAMES = 3
 
 
+# Maximum difference of registrations that agree. Registrations of distant submaps differ by the
+# drift of both maps between them.
+_MAX_DIFFERENCE_M, _MAX_DIFFERENCE_RAD = 0.2, 0.1
+
+
 @dataclass(frozen=True)
 class SubmapPair:
     """A submap of each map.
@@ -54,11 +59,12 @@ class MapRegistration:
     reason: str
     T_first_second: Array
 
-    def agrees_with(self, other: MapRegistration, max_m: float, max_rad: float) -> bool:
-        """Whether both transformations differ by at most `max_m` and `max_rad`."""
+    def agrees_with(self, other: MapRegistration) -> bool:
+        """Whether both transformations differ by little."""
         difference = se3.inverse(self.T_first_second) @ other.T_first_second
-        angle = se3.rotation_angle_rad(difference[:3, :3])
-        return bool(np.linalg.norm(difference[:3, 3]) <= max_m and angle <= max_rad)
+        distance_m = np.linalg.norm(difference[:3, 3])
+        angle_rad = se3.rotation_angle_rad(difference[:3, :3])
+        return bool(distance_m <= _MAX_DIFFERENCE_M and angle_rad <= _MAX_DIFFERENCE_RAD)
 
 
 def most_similar_submaps(
@@ -112,20 +118,12 @@ class SelectedRegistration:
     agreeing: int
 
 
-def select_registration(
-    found: list[MapRegistration], max_m: float = 0.2, max_rad: float = 0.1
-) -> SelectedRegistration | None:
-    """Select the verified registration with the most agreement, then the most common surface.
-
-    Args:
-        found: registrations of all pairs.
-        max_m, max_rad: maximum difference of registrations that agree. Registrations of distant
-            submaps differ by the drift of both maps between them.
-    """
+def select_registration(found: list[MapRegistration]) -> SelectedRegistration | None:
+    """Select the verified registration with the most agreement, then the most common surface."""
     verified = [f for f in found if not f.reason]
     if not verified:
         return None
-    votes = [sum(f.agrees_with(other, max_m, max_rad) for other in verified) for f in verified]
+    votes = [sum(f.agrees_with(other) for other in verified) for f in verified]
     common = [f.result.overlap * f.result.inliers for f in verified]
     index = max(range(len(verified)), key=lambda i: (votes[i], common[i], -i))
     return SelectedRegistration(verified[index], len(verified), votes[index])

@@ -89,13 +89,11 @@ class Densification:
         """Mask [H, W] of the pixels of a rendered view that the map covers."""
         return view.output.silhouette >= self._options.min_silhouette
 
-    def prune(self, submap: Submap) -> int:
-        """Remove transparent, very large and non-finite Gaussians; return how many."""
+    def prune(self, submap: Submap) -> None:
+        """Remove transparent, very large and non-finite Gaussians."""
         mask = prune_mask(submap.gaussians, _MIN_OPACITY, _MAX_RADIUS_M)
-        count = int(mask.sum())
-        if count:
+        if mask.any():
             submap.remove(mask)
-        return count
 
 
 def uncovered_pixels(

@@ -52,14 +52,13 @@ class MappingResult:
     """Result of adding a keyframe.
 
     Attributes:
-        seeded, pruned: number of Gaussians added and removed.
+        seeded: number of Gaussians added.
         loss: loss of the images at the last optimisation step, nan if there was none or steps are
             deferred.
         steps: number of optimisation steps, 0 if they are deferred.
     """
 
     seeded: int
-    pruned: int
     loss: float
     steps: int = 0
 
@@ -164,7 +163,8 @@ class Mapper:
         else:
             effort, loss = Effort(0, 0), float("nan")
             self.deferred.add(keyframe, steps)
-        return MappingResult(seeded, self._densification.prune(submap), loss, effort.taken)
+        self._densification.prune(submap)
+        return MappingResult(seeded, loss, effort.taken)
 
     def unmapped_pixels(
         self,

@@ -233,8 +233,7 @@ class SemanticMapping:
         """Arrays for `restore`."""
         if self._loss is None:
             return {}
-        # "told" is the name of the observed classes in the files of all versions.
-        arrays = {"told": self._observed.numpy().copy()}
+        arrays = {"observed": self._observed.numpy().copy()}
         if self._loss.network is not None:
             arrays |= {f"network/{k}": a for k, a in self._loss.network.state().items()}
         return arrays
@@ -243,6 +242,6 @@ class SemanticMapping:
         """Restore an earlier `state`."""
         if self._loss is None or not arrays:
             return
-        self._observed = torch.from_numpy(np.array(arrays["told"]))
+        self._observed = torch.from_numpy(np.array(arrays["observed"]))
         if self._loss.network is not None:
             self._loss.network.restore(arrays_below(arrays, "network/"))

@@ -57,12 +57,10 @@ class LoopClosure:
     Attributes:
         revisits: accepted pairs of views.
         rejected: pairs that contradict the rest.
-        max_shift: largest displacement of a view relative to the median depth.
     """
 
     revisits: int = 0
     rejected: int = 0
-    max_shift: float = 0.0
 
 
 def close_loops(
@@ -88,12 +86,7 @@ def close_loops(
             break
         accepted = fitting
         corrected, scaled = _corrected(sparse_map, keypoints, sequence, accepted)
-    moved = [
-        np.linalg.norm(a.T_world_camera[:3, 3] - b.T_world_camera[:3, 3])
-        for a, b in zip(corrected.views, sparse_map.views, strict=True)
-    ]
-    shift = float(max(moved) / _median_depth(sparse_map))
-    return corrected, LoopClosure(len(accepted), len(found) - len(accepted), shift)
+    return corrected, LoopClosure(len(accepted), len(found) - len(accepted))
 
 
 def _sequence(sparse_map: SparseMap) -> list[SimilarityEdge]:

@@ -118,28 +118,26 @@ class CameraMotion:
         return not self.doubts
 
     def metrics(self) -> dict[str, float | int | str | bool | None]:
-        """Entries of metrics.json."""
+        """Group "monocular" of metrics.json."""
         known, metric = bool(self.views), self.metric_scale
         return {
-            "monocular_reliable": self.reliable,
-            "monocular_doubts": "; ".join(self.doubts),
-            "monocular_keyframes": len(self.views),
-            "monocular_extent": self.extent if known else None,
-            "monocular_scale_sigma_percent": 100.0 * self.scale_sigma if known else None,
-            "monocular_scale_frames": " ".join(map(str, self.scale_frames)),
-            "monocular_metric_scale": None if metric is None else metric.factor,
-            "monocular_metric_scale_sigma_percent": None
-            if metric is None
-            else 100.0 * metric.sigma,
-            "monocular_frames_in_other_parts": self.frames_in_others,
-            "monocular_revisits": self.loops.revisits,
-            "monocular_revisits_rejected": self.loops.rejected,
-            "monocular_reprojection_px": self.error_px if known else None,
-            "monocular_focal_px": self.camera.fx if self.focal_sigma is not None else None,
-            "monocular_focal_sigma_percent": None
+            "reliable": self.reliable,
+            "doubts": "; ".join(self.doubts),
+            "keyframes": len(self.views),
+            "extent": self.extent if known else None,
+            "scale_sigma_percent": 100.0 * self.scale_sigma if known else None,
+            "scale_frames": " ".join(map(str, self.scale_frames)),
+            "metric_scale": None if metric is None else metric.factor,
+            "metric_scale_sigma_percent": None if metric is None else 100.0 * metric.sigma,
+            "frames_in_other_parts": self.frames_in_others,
+            "revisits": self.loops.revisits,
+            "revisits_rejected": self.loops.rejected,
+            "reprojection_px": self.error_px if known else None,
+            "focal_px": self.camera.fx if self.focal_sigma is not None else None,
+            "focal_sigma_percent": None
             if self.focal_sigma is None or not np.isfinite(self.focal_sigma)
             else 100.0 * self.focal_sigma,
-            "monocular_convention": "extent: RMS distance of the camera from its mean position "
+            "convention": "extent: RMS distance of the camera from its mean position "
             "relative to the median depth; scale sigma: largest relative change of scale that "
             "image errors of one pixel can cause; the unit of length is "
             + ("arbitrary" if metric is None else f"the metre, by {metric.source}"),

@@ -13,7 +13,7 @@ import numpy as np
 from toolkit.mapping.deferred import StepCounts
 
 Outcome = Literal["tracked", "keyframe", "doubtful", "lost", "dropped"]
-Metrics = dict[str, float | int | str | None]
+Metrics = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class DelaySummary(Protocol):
         """The bound of the delay; None without one."""
 
     def metrics(self) -> Metrics:
-        """Entries of metrics.json, with units in the keys."""
+        """Groups of metrics.json, with units in the keys."""
 
     def csv(self) -> str:
         """Table of the delays, one row per frame."""
@@ -75,10 +75,10 @@ class PaceSummary:
         return count_of("dropped", self.delays)
 
     def metrics(self) -> Metrics:
-        """Entries of metrics.json, with units in the keys."""
+        """Group "pace" of metrics.json, with units in the keys."""
         max_delay_s = self.max_delay_s
-        return {
-            "pace_fps": self.fps,
+        metrics: Metrics = {
+            "fps": self.fps,
             "delay_bound_ms": 1e3 * max_delay_s,
             **delay_statistics(self.delays),
             "frames_late": sum((row.delay_s or 0.0) > max_delay_s for row in self.delays),
@@ -87,11 +87,12 @@ class PaceSummary:
             "mapping_steps_due": self.steps.due,
             "mapping_steps_deferred": self.steps.late,
             "mapping_steps_skipped": self.steps.due - self.steps.taken,
-            "pace_convention": "delay from a frame's arrival to its pose, without dropped frames; "
-            "late frames exceed the bound; deferred steps were taken after the next keyframe; "
-            "dropped frames are scored at the last pose before them; these results depend on the "
-            "speed of the machine and are not reproducible",
+            "convention": "delay from a frame's arrival to its pose, without dropped frames; late "
+            "frames exceed the bound; deferred steps were taken after the next keyframe; dropped "
+            "frames are scored at the last pose before them; these results depend on the speed of "
+            "the machine and are not reproducible",
         }
+        return {"pace": metrics}
 
     def csv(self) -> str:
         """Table of the delays, one row per frame."""

@@ -7,15 +7,15 @@ from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from toolkit.errors import RunFolderError
-from toolkit.evaluation.comparison import ComparedRun, flattened
-from toolkit.evaluation.metrics import read_metrics
+from toolkit.evaluation.comparison import ComparedRun
+from toolkit.evaluation.metrics import flattened, read_metrics
 from toolkit.io.images import read_rgb
+from toolkit.options import as_plain
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.settings import dump_settings, load_settings
+from toolkit.runs.settings import load_settings
 
 
 def compared_run(path: Path, name: str, page: Path) -> ComparedRun:
@@ -36,15 +36,14 @@ def compared_run(path: Path, name: str, page: Path) -> ComparedRun:
                 f"{path} has no {file.name}: the run is not finished; "
                 "repeat its semsplat run command with --resume"
             )
-    # Settings are read and written again, so that defaults of older files are filled in.
-    settings = yaml.safe_load(dump_settings(load_settings(folder.config)))
+    settings = as_plain(load_settings(folder.config))
     report = None
     if folder.report.is_file():
         report = quote(Path(os.path.relpath(folder.report, page.parent)).as_posix())
     return ComparedRun(
         name,
         flattened(settings),
-        read_metrics(folder.metrics),
+        flattened(read_metrics(folder.metrics)),
         folder.read_trajectory(),
         {file.name: _rgb(file) for file in sorted(folder.renders.glob("frame??????.png"))},
         report,

@@ -24,13 +24,13 @@ class DepthPriorUse:
     correction: DepthCorrection | None = None
 
     def metrics(self) -> dict[str, float | int | str | None]:
-        """Entries of metrics.json."""
+        """Group "depth_prior" of metrics.json."""
         return {
-            "depth_prior_model": self.model.name,
-            "depth_prior_sha256": self.model.sha256,
-            "depth_prior_licence": self.model.licence,
-            "depth_inferred_percent": 100.0 * self.inferred,
-            "depth_prior_groups": None if self.correction is None else len(self.correction.found),
+            "model": self.model.name,
+            "sha256": self.model.sha256,
+            "licence": self.model.licence,
+            "inferred_percent": 100.0 * self.inferred,
+            "groups": None if self.correction is None else len(self.correction.found),
         }
 
 

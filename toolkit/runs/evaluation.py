@@ -10,7 +10,7 @@ from pathlib import Path
 
 from toolkit.datasets.base import Dataset
 from toolkit.errors import FormatError
-from toolkit.evaluation.frame_states import state_metrics
+from toolkit.evaluation.frame_states import frame_metrics
 from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.meshes import Views, mesh_quality
@@ -59,8 +59,8 @@ def evaluate(
             of a synthetic room. Without one, there are no metrics of the mesh.
 
     Returns:
-        Metrics by name, with the unit in the name; None for metrics that are not available. Times
-        and memory are not included: they are measured while the run executes.
+        Groups of metrics by subject, with units in the keys; None for metrics that are not
+        available. Times and memory are not included: they are measured while the run executes.
 
     Raises:
         ToolkitError: the dataset or the weights of LPIPS cannot be read, or no pose can be
@@ -74,25 +74,19 @@ def evaluate(
     semantics = semantic_evaluation(run.semantics, run.taxonomy, dataset, evaluation.subset)
     scene = InMemoryScene(run.gaussians)
     metrics = evaluate_scene(scene, run.tracked, dataset, settings, semantics, max_views)
-    separate = run.separate_trajectories()
-    return (
-        metrics
-        | evaluate_loops(run.folder.loops, dataset, settings)
-        | _mesh_metrics(run, dataset, settings, mesh)
-        | state_metrics(run.states, run.parts)
-        | separate_part_metrics(separate, dataset.ground_truth, mode_of(settings).alignment)
-        | {
-            "frames": len(run.states),
-            "keyframes": len(run.keyframes),
-            "gaussians": len(run.gaussians),
-        }
+    metrics["frames"] = frame_metrics(run.states, run.parts, len(run.keyframes))
+    separate = separate_part_metrics(
+        run.separate_trajectories(), dataset.ground_truth, mode_of(settings).alignment
     )
+    metrics["parts"] = {"count": len(run.parts), **separate}
+    loops = evaluate_loops(run.folder.loops, dataset, settings)
+    return metrics | loops | _mesh_metrics(run, dataset, settings, mesh)
 
 
 def _mesh_metrics(
     run: FinishedRun, dataset: Dataset, settings: RunSettings, mesh: Path | None
 ) -> Metrics:
-    """Fuse a mesh from renders and compare it with the true one, if there is one."""
+    """The group "mesh": a mesh fused from renders, compared with the true one, if there is one."""
     truth = mesh or true_mesh(settings)
     kind = mode_of(settings).alignment
     alignment = map_alignment(run.trajectory, dataset.ground_truth, kind)
@@ -103,7 +97,8 @@ def _mesh_metrics(
     surface = surface_mesh(run, run.gaussians, options)
     poses = [frame.T_map_camera for frame in run.tracked[::every]]
     views = Views(run.camera, poses, options.max_depth_m)
-    return mesh_quality(surface, truth, alignment, views).metrics(options.voxel_m)
+    metrics = mesh_quality(surface, truth, alignment, views).metrics(options.voxel_m)
+    return {"mesh": metrics} if metrics else {}
 
 
 def true_mesh(settings: RunSettings) -> Path | None:
@@ -163,7 +158,7 @@ def evaluate_scene(
 
 
 def evaluate_loops(log: Path, dataset: Dataset, settings: RunSettings) -> Metrics:
-    """Evaluate the loops of a run from its log; empty without loop closure or ground truth.
+    """The group "loops", from the log of a run; empty without loop closure or ground truth.
 
     Raises:
         DatasetError: a frame cannot be read.
@@ -181,8 +176,8 @@ def evaluate_loops(log: Path, dataset: Dataset, settings: RunSettings) -> Metric
         raise FormatError(f"{log} has a line without {error}; remove the line") from error
     if mode_of(settings).alignment == "sim3":
         # Without a scale, lengths of edges cannot be compared with the truth.
-        return {key: value for key, value in metrics.items() if not key.startswith("loop_edge")}
-    return metrics
+        metrics.pop("edges", None)
+    return {"loops": metrics} if metrics else {}
 
 
 def load_lpips(settings: RunSettings) -> Lpips | None:

@@ -17,7 +17,7 @@ from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.monocular.scale import check_scale
 from toolkit.pacing.paced import PacedSlam
-from toolkit.pacing.record import PaceSummary, count_of
+from toolkit.pacing.record import PaceSummary, count_of, delay_statistics
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
@@ -227,11 +227,11 @@ def _with_path(settings: RunSettings, path: Path) -> RunSettings:
 
 
 def _log_pace(summary: PaceSummary) -> PaceSummary:
-    metrics, steps = summary.metrics(), summary.steps
-    if metrics["delay_median_ms"] is not None:
+    delays, steps = delay_statistics(summary.delays), summary.steps
+    if delays["delay_median_ms"] is not None:
         _log.info(
             "Delay from arrival to pose: median %.0f ms, 95th percentile %.0f ms, maximum %.0f ms.",
-            *(metrics[f"delay_{name}_ms"] for name in ("median", "p95", "max")),
+            *(delays[f"delay_{name}_ms"] for name in ("median", "p95", "max")),
         )
     level = logging.WARNING if summary.dropped else logging.INFO
     _log.log(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from toolkit.io.length_names import LengthNames
 from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.frame_records import read_parts, read_states
+from toolkit.runs.frame_records import read_part, read_state
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.semantics.factory import build_code
@@ -47,7 +47,7 @@ class FinishedRun:
         semantics: decoder of the features; without channels for a map without semantics.
         taxonomy: taxonomy of the labels, or None.
         anchors: T_world_submap [4, 4] of each readable submap of the main part, by number.
-        stored_camera: intrinsics of the frames after resizing; None in runs of older versions.
+        camera: intrinsics of the frames after resizing.
         dataset_from_run: path of the dataset relative to the run folder, or None.
         states: states of all frames of the sequence, in order.
         parts: parts of the map, the main part first; the relative poses of parts are unknown.
@@ -65,21 +65,12 @@ class FinishedRun:
     semantics: SemanticMapping
     taxonomy: Taxonomy | None
     anchors: dict[int, NDArray[np.float64]]
-    stored_camera: Camera | None = None
-    dataset_from_run: str | None = None
-    states: list[FrameState] = field(default_factory=list)
-    parts: list[PartSummary] = field(default_factory=list)
-    metric: bool = True
-    origin_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-
-    @property
-    def camera(self) -> Camera:
-        """Intrinsics of the run's frames after resizing.
-
-        Raises:
-            DatasetError: the run is of an older version and its dataset cannot be opened.
-        """
-        return self.stored_camera or self.open_dataset().camera
+    camera: Camera
+    dataset_from_run: str | None
+    states: list[FrameState]
+    parts: list[PartSummary]
+    metric: bool
+    origin_m: NDArray[np.float64]
 
     @property
     def submaps(self) -> SavedSubmaps:
@@ -90,10 +81,7 @@ class FinishedRun:
         """
         store = SubmapStore.newest(self.folder.submaps, self.settings.submaps.memory_mb)
         if not self.anchors or not all(number in store for number in self.anchors):
-            raise RunFolderError(
-                f"submaps are missing in {self.folder.submaps}, which older versions did not "
-                "store; run again"
-            )
+            raise RunFolderError(f"submaps are missing in {self.folder.submaps}; run again")
         return SavedSubmaps(store, self.anchors)
 
     @property
@@ -154,9 +142,8 @@ class FinishedRun:
         if path is None:
             raise DatasetError(f"{self.folder.config} has no dataset.path; add it to the file")
         dataset = open_recording(self.settings, path, image_size)
-        camera = self.stored_camera
-        if not dataset.recording.calibrated and camera and camera.size == dataset.camera.size:
-            dataset.camera = camera  # the focal length that the run has estimated
+        if not dataset.recording.calibrated and self.camera.size == dataset.camera.size:
+            dataset.camera = self.camera  # the focal length that the run has estimated
         return dataset
 
 
@@ -199,12 +186,12 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             tracked=_tracked(content["frames"], folder.read_trajectory().T_world_camera),
             lost=[int(i) for i in content["lost"]],
             keyframes=[int(i) for i in content["keyframes"]],
-            anchors=_anchors(content.get("submaps", [])),
-            stored_camera=_camera(content),
+            anchors=_anchors(content["submaps"]),
+            camera=Camera(**content["camera"]),
             dataset_from_run=content.get("dataset_from_run"),
-            states=read_states(content),
-            parts=read_parts(content),
-            metric=bool(content.get("metric", True)),
+            states=[read_state(row) for row in content["states"]],
+            parts=[read_part(row) for row in content["parts"]],
+            metric=bool(content["metric"]),
             origin_m=np.array(content.get("origin_m", [0, 0, 0]), np.float64).reshape(3),
         )
     except (KeyError, TypeError, ValueError, SettingsError) as error:
@@ -221,15 +208,11 @@ def _read_frames(path: Path) -> dict[str, Any]:
     return content
 
 
-def _camera(content: dict[str, Any]) -> Camera | None:
-    return Camera(**content["camera"]) if "camera" in content else None
-
-
 def _anchors(rows: list[dict[str, Any]]) -> dict[int, NDArray[np.float64]]:
     anchors = {
         int(row["number"]): np.array(row["T_world_submap"], np.float64).reshape(4, 4)
         for row in rows
-        if not row["lost"] and row.get("part", 0) == 0
+        if not row["lost"] and row["part"] == 0
     }
     if not all(se3.is_rigid(T) for T in anchors.values()):
         raise ValueError("the pose of a submap is not rigid")

@@ -33,7 +33,7 @@ from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.covariances import write_covariances
 from toolkit.io.splat_parts import write_splat_parts
-from toolkit.io.splats import SplatLabels, SpzAxes, read_splats
+from toolkit.io.splats import SplatLabels, read_splats
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.runs.lock import LOCK, is_unused
 from toolkit.semantics.taxonomy import Taxonomy
@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 
 _SLOTS = ("0", "1")
 # To be incremented when the state of any part of a run changes its layout.
-CHECKPOINT_FORMAT = 2
+CHECKPOINT_FORMAT = 3
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class RunFolder:
                 _log.warning("Checkpoint %s is damaged (%r).", path, error)
                 damaged.append(path)
                 continue
-            saved_format = tree.metadata.get("format", 0)
+            saved_format = tree.metadata.get("format")
             if saved_format != CHECKPOINT_FORMAT:
                 raise RunFolderError(
                     f"{path} has checkpoint format {saved_format}, this version of semsplat reads "
@@ -345,18 +345,14 @@ def _with_columns(
     return gaussians, columns
 
 
-def read_cloud(path: str | os.PathLike[str], spz_axes: SpzAxes = "specified") -> GaussianCloud:
+def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
     """Read the Gaussians of a splat file (.ply, .splat, .spz).
-
-    Args:
-        path: the file.
-        spz_axes: as for `read_splats`.
 
     Raises:
         DatasetError: the file is missing.
         FormatError: it is not a splat file, or its splats are anisotropic.
     """
-    splats = read_splats(path, spz_axes)
+    splats = read_splats(path)
     if splats.shapes is not None:
         raise FormatError(
             f"{path} has anisotropic splats, of which this renderer would show spheres; show it "

@@ -72,45 +72,29 @@ def state_rows(result: SlamResult, states: Sequence[FrameState]) -> list[dict[st
     return rows
 
 
-def read_states(content: dict[str, Any]) -> list[FrameState]:
-    """Read the states of all frames; runs of older versions have no doubtful frames.
+def read_part(row: dict[str, Any]) -> PartSummary:
+    """Read a part of the map.
 
     Raises:
-        KeyError, TypeError, ValueError: the content is malformed.
+        KeyError, TypeError, ValueError: the row is malformed.
     """
-    if "states" in content:
-        return [_state(row) for row in content["states"]]
-    states = [FrameState(int(row["index"]), "tracked", part=0) for row in content["frames"]]
-    states += [FrameState(int(index), "lost") for index in content["lost"]]
-    return sorted(states, key=lambda state: state.index)
+    loss = row["loss"]
+    return PartSummary(
+        int(row["number"]),
+        tuple(int(number) for number in row["submaps"]),
+        int(row["frames"]),
+        row["first"],
+        row["last"],
+        None if loss is None else Loss(int(loss["index"]), str(loss["reason"])),
+    )
 
 
-def read_parts(content: dict[str, Any]) -> list[PartSummary]:
-    """Read the parts of the map; runs of older versions have one.
+def read_state(row: dict[str, Any]) -> FrameState:
+    """Read the state of a frame.
 
     Raises:
-        KeyError, TypeError, ValueError: the content is malformed.
+        KeyError, TypeError, ValueError: the row is malformed.
     """
-    if "parts" not in content:
-        numbers = tuple(int(row["number"]) for row in content.get("submaps", []))
-        return [PartSummary(0, numbers, len(content["frames"]))]
-    parts = []
-    for row in content["parts"]:
-        loss = row.get("loss")
-        parts.append(
-            PartSummary(
-                int(row["number"]),
-                tuple(int(number) for number in row["submaps"]),
-                int(row["frames"]),
-                row.get("first"),
-                row.get("last"),
-                None if loss is None else Loss(int(loss["index"]), str(loss["reason"])),
-            )
-        )
-    return parts
-
-
-def _state(row: dict[str, Any]) -> FrameState:
     if row["state"] not in get_args(State):
         raise ValueError(f"unknown state {row['state']!r}")
     part = row.get("part")

@@ -69,8 +69,8 @@ def shared_semantics(a: FinishedRun, b: FinishedRun) -> SemanticMapping | None:
     network = replace(settings.network, use=False)
     settings = replace(settings, reader="path", network=network)
     semantics = build_semantic_mapping(settings, build_code(settings.code, a.taxonomy), 0)
-    observed = a.semantics.state()["told"] | b.semantics.state()["told"]
-    semantics.restore({"told": observed})
+    observed = a.semantics.state()["observed"] | b.semantics.state()["observed"]
+    semantics.restore({"observed": observed})
     return semantics
 
 

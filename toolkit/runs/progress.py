@@ -99,7 +99,7 @@ class RunProgress:
 class ProgressReader:
     """Reads the state of a run whenever it has written a snapshot or saved a checkpoint.
 
-    Runs write snapshots while `read` is called; those of other versions save checkpoints only.
+    Runs write snapshots while `read` is called.
 
     Args:
         path: the run folder.
@@ -140,7 +140,7 @@ class ProgressReader:
             return None
         if tree.metadata.get("serial") != serial or read_serial(slot) != serial:
             return None
-        found = tree.metadata.get("format", 0)
+        found = tree.metadata.get("format")
         if found != CHECKPOINT_FORMAT:
             raise RunFolderError(
                 f"{slot} has checkpoint format {found}, this version of semsplat reads format "
@@ -184,8 +184,8 @@ class ProgressReader:
             camera=None if first is None else Camera(**first["camera"]),
             taxonomy=taxonomy,
             decode=decode,
-            doubtful=frozenset(int(row["index"]) for row in tracked if row.get("doubt")),
-            lost=frozenset(int(index) for index, _ in values["path"].get("lost_frames", [])),
+            doubtful=frozenset(int(row["index"]) for row in tracked if row["doubt"]),
+            lost=frozenset(int(index) for index, _ in values["path"]["lost_frames"]),
         )
 
     def _parts(

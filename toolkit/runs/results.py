@@ -15,9 +15,9 @@ from toolkit import __version__
 from toolkit.datasets.base import Dataset
 from toolkit.evaluation.frame_costs import FrameCosts
 from toolkit.evaluation.frame_states import (
+    frame_metrics,
     frame_states,
     part_summaries,
-    state_metrics,
     summary_lines,
 )
 from toolkit.evaluation.images import psnr_db
@@ -135,15 +135,12 @@ def write_results(
         result.semantics, result.taxonomy, dataset, settings.evaluation.subset
     )
     metrics = cost_metrics(costs) | evaluate_scene(scene, tracked, dataset, settings, semantics)
-    metrics |= state_metrics(states, parts)
+    metrics["frames"] = frame_metrics(states, parts, len(result.keyframe_indices))
     separate = {result.parts.index(p.submaps): p.frames.trajectory for p in result.other_parts}
-    metrics |= separate_part_metrics(separate, dataset.ground_truth, mode_of(settings).alignment)
+    apart = separate_part_metrics(separate, dataset.ground_truth, mode_of(settings).alignment)
+    metrics["parts"] = {"count": len(parts), **apart}
     metrics |= evaluate_loops(folder.loops, dataset, settings)
-    metrics |= {} if pace is None else pace.metrics()
-    if motion is not None:
-        motion_ms = recorder.total_ms(Stage.MOTION) or 0.0
-        metrics |= motion.metrics() | {"motion_ms_per_frame": motion_ms / motion.frames}
-    metrics |= {} if record.prior is None else record.prior.metrics()
+    metrics |= _mode_metrics(record)
     write_metrics(folder.metrics, metrics)
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, dataset, folder, names)
@@ -180,10 +177,23 @@ def _origins(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> dict
     return origins
 
 
+def _mode_metrics(record: RunRecord) -> Metrics:
+    """Groups of metrics that only runs in real time, without depth or with depth priors have."""
+    metrics: Metrics = {} if record.pace is None else record.pace.metrics()
+    motion = record.motion
+    if motion is not None:
+        motion_ms = record.recorder.total_ms(Stage.MOTION) or 0.0
+        per_frame = {"motion_ms_per_frame": motion_ms / motion.frames}
+        metrics["monocular"] = motion.metrics() | per_frame
+    if record.prior is not None:
+        metrics["depth_prior"] = record.prior.metrics()
+    return metrics
+
+
 def write_motion_alone(motion: CameraMotion, folder: RunFolder) -> None:
     """Write the metrics of a run without a map, because its motion could not be determined."""
-    lost = {"frames": motion.frames, "frames_lost": motion.frames - len(motion.trajectory)}
-    write_metrics(folder.metrics, {**lost, **motion.metrics()})
+    frames = {"total": motion.frames, "lost": motion.frames - len(motion.trajectory)}
+    write_metrics(folder.metrics, {"frames": frames, "monocular": motion.metrics()})
     _log.warning("There is no map; see %s.", folder.metrics)
 
 
@@ -208,9 +218,6 @@ def _costs(
     count, recorder = len(scene), record.recorder
     return RunCosts(
         frames=len(dataset),
-        frames_lost=len(result.lost_frames),
-        keyframes=len(result.keyframe_indices),
-        gaussians=count,
         columns_ms={column: float(ms.sum()) for column, ms in record.costs.columns_ms.items()},
         refinement_ms=recorder.total_ms(Stage.REFINEMENT),
         online_ms=recorder.total_ms(Stage.ONLINE),

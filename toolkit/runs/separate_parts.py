@@ -57,6 +57,5 @@ def separate_part_metrics(
                 ate_cm = 100.0 * absolute_trajectory_error(trajectory, truth, alignment).rmse_m
             except DatasetError:
                 ate_cm = None  # no pose of the part has ground truth
-        metrics[f"part_{number}_frames"] = len(trajectory)
-        metrics[f"part_{number}_ate_rmse_cm"] = ate_cm
+        metrics[f"part_{number}"] = {"frames": len(trajectory), "ate_rmse_cm": ate_cm}
     return metrics

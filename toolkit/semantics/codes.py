@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -25,9 +25,8 @@ _MIN_LOGIT = 0.5
 # Probability of the observed class in the code of a new Gaussian.
 _START_CONFIDENCE = 0.9
 _MIN_COLOUR = 0.1
+_SPREAD = 0.05  # standard deviation of the colours of a class in the decoder
 _PRIOR = 0.1  # pseudo-count of votes, in pixels, for every possible value of a head
-
-CodeName = Literal["flat", "one-hot", "binary", "colour"]
 
 
 class SemanticCode(Protocol):
@@ -249,24 +248,21 @@ class ColourCode:
     Args:
         taxonomy: tree of classes.
         palette: [C, 3] distinct colours in [0, 1].
-        spread: standard deviation of the colours of a class in the decoder.
     """
 
     heads: Heads | None = None
     is_colour = True
     random_start = False
 
-    def __init__(
-        self, taxonomy: Taxonomy, palette: NDArray[np.float32], spread: float = 0.05
-    ) -> None:
+    def __init__(self, taxonomy: Taxonomy, palette: NDArray[np.float32]) -> None:
         if palette.shape != (len(taxonomy), 3):
             raise ValueError(
                 f"palette must have shape [{len(taxonomy)}, 3], got {list(palette.shape)}"
             )
         self.name, self.taxonomy, self.channels = "colour", taxonomy, 3
         self._palette = torch.from_numpy(np.asarray(palette, np.float32))
-        self._precision = 1.0 / spread**2
-        self.unit = 0.2 * spread
+        self._precision = 1.0 / _SPREAD**2
+        self.unit = 0.2 * _SPREAD
 
     @property
     def start_values(self) -> Tensor:

@@ -91,7 +91,8 @@ class NetworkDecoder:
             np.log(len(logits))
         )
 
-    def _step(self, gradients: dict[str, Tensor], beta1: float = 0.9, beta2: float = 0.99) -> None:
+    def _step(self, gradients: dict[str, Tensor]) -> None:
+        beta1, beta2 = 0.9, 0.99
         self.steps += 1
         for name, gradient in gradients.items():
             first = self._first[name].mul_(beta1).add_(gradient, alpha=1 - beta1)
@@ -113,9 +114,7 @@ class NetworkDecoder:
         for kind, tensors in self._groups():
             for name in tensors:
                 tensors[name] = torch.from_numpy(np.array(arrays[f"{kind}_{name}"]))
-        replay = arrays_below(arrays, "replay/")
-        if replay:  # runs of older versions have no replay memory
-            self._memory.restore(replay)
+        self._memory.restore(arrays_below(arrays, "replay/"))
 
     def _groups(self) -> tuple[tuple[str, dict[str, Tensor]], ...]:
         return (

@@ -99,7 +99,6 @@ class Palette:
         self,
         rgb: NDArray[np.floating],
         levels: Sequence[NDArray[np.integer]],
-        overlay: float = 1.0,
         legend_rows: int = 0,
     ) -> RgbImage:
         """Return the colour image and the labels at every level side by side.
@@ -107,14 +106,12 @@ class Palette:
         Args:
             rgb: [H, W, 3] colours in [0, 1].
             levels: node indices [H, W] at each level, coarsest first; -1 is void.
-            overlay: opacity of the semantic colours over the image, in [0, 1].
             legend_rows: number of legend entries below each panel.
         """
         colours = colour_image(rgb)
         panels = [Panel("colour", legend_below(colours, [], legend_rows))]
         for name, node_ids in zip(self.taxonomy.levels, levels, strict=True):
-            mixed = overlay * self.class_image(node_ids) + (1.0 - overlay) * colours
-            image = np.rint(mixed).astype(np.uint8)
+            image = self.class_image(node_ids)
             panels.append(Panel(name, legend_below(image, self.legend(node_ids), legend_rows)))
         return strip(panels)
 

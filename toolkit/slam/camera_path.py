@@ -297,8 +297,7 @@ class CameraPath:
             for f in values["tracked"]
         ]
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
-        unknown = np.zeros((len(self._frames), 6, 6))
-        self._pixel_covariances = list(np.array(arrays.get("pixel_covariances", unknown)))
+        self._pixel_covariances = list(np.array(arrays["pixel_covariances"]))
         self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
         self.unreliable_in_a_row = int(values["unreliable_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]

@@ -431,11 +431,10 @@ class Slam:
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
-        if self._unit is None and values.get("units_per_metre"):
+        if self._unit is None and values["units_per_metre"]:
             self._unit = LengthUnit(float(values["units_per_metre"]))
         for name, part in self._parts().items():
-            # Checkpoints of earlier versions have no "recovery".
-            part.restore(arrays_below(arrays, f"{name}/"), values.get(name, {}))
+            part.restore(arrays_below(arrays, f"{name}/"), values[name])
         self.tracker.restore(arrays_below(arrays, "tracker/"))
         self._preparation.restore(arrays_below(arrays, "segmenter/"))
 

@@ -27,6 +27,7 @@ MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
 
 _UP: tuple[float, float, float] = (0.0, 0.0, 1.0)
 _SAMPLES = 4000  # points sampled on a mesh
+_VOXEL_M = 0.03  # size of the voxels of a scan
 _MAX_IDS = 1 << 16  # label images have 16 bits
 
 
@@ -60,15 +61,12 @@ class LabelledScan:
         return up, float(np.median(heights) if len(floor) else heights.min())
 
 
-def labelled_scan(
-    views: Iterable[tuple[Frame, Array]], names: Mapping[int, str], voxel_m: float = 0.03
-) -> LabelledScan:
+def labelled_scan(views: Iterable[tuple[Frame, Array]], names: Mapping[int, str]) -> LabelledScan:
     """Fuse labelled frames to a point cloud with one point per voxel and majority labels.
 
     Args:
         views: frames with labels, and their poses [4, 4], camera to world.
         names: class names by id.
-        voxel_m: voxel size in metres, > 0.
 
     Raises:
         DatasetError: a frame has no labels, or no pixel has both depth and a label.
@@ -79,7 +77,7 @@ def labelled_scan(
             raise DatasetError(f"frame {frame.index} has no labels; use a labelled sequence")
         seen = (frame.depth_m > 0) & (frame.labels > 0)
         points = transform_points(T_world_camera, frame.camera.unproject(frame.depth_m)[seen])
-        keys.append(voxel_keys(voxels_of(points, voxel_m)))
+        keys.append(voxel_keys(voxels_of(points, _VOXEL_M)))
         labels.append(frame.labels[seen].astype(np.int64))
     if not keys or not sum(map(len, keys)):
         raise DatasetError("no pixel has both depth and a label; check the labels of the sequence")
@@ -88,7 +86,7 @@ def labelled_scan(
     winner = np.zeros(len(voxels), np.int64)
     order = np.argsort(counts, kind="stable")  # the most frequent label is written last
     winner[votes[order] // _MAX_IDS] = votes[order] % _MAX_IDS
-    return LabelledScan((voxels_of_keys(voxels).astype(np.float64) + 0.5) * voxel_m, winner, names)
+    return LabelledScan((voxels_of_keys(voxels).astype(np.float64) + 0.5) * _VOXEL_M, winner, names)
 
 
 class ScanShapes:

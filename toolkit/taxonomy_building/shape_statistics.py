@@ -22,6 +22,8 @@ STATISTICS = (
 )
 
 _MIN_POINTS = 10
+# Minimum number of points of an object, unless all objects of a class are smaller.
+_OBJECT_POINTS = 30
 # Noise added because Qhull fails for coplanar points; smaller than depth noise.
 _NOISE_M = 1e-3
 
@@ -65,13 +67,12 @@ def shape_statistics(points_m: Array, up: Array, floor_m: float = 0.0) -> Array:
     )
 
 
-def instances(points_m: Array, gap_m: float, min_points: int = 30) -> list[Array]:
+def instances(points_m: Array, gap_m: float) -> list[Array]:
     """Split the points of a class into objects (Open3D's DBSCAN), largest first.
 
     Args:
         points_m: [N, 3] points of the class.
-        gap_m: minimum distance between different objects in metres.
-        min_points: minimum number of points of an object, unless all objects are smaller.
+        gap_m: minimum distance between different objects in metres; radius of DBSCAN.
     """
     if len(points_m) < _MIN_POINTS:
         return []
@@ -79,4 +80,4 @@ def instances(points_m: Array, gap_m: float, min_points: int = 30) -> list[Array
     labels = np.asarray(cloud.cluster_dbscan(eps=gap_m, min_points=_MIN_POINTS // 2))
     pieces = [points_m[labels == label] for label in range(labels.max() + 1)]
     pieces = sorted((p for p in pieces if len(p) >= _MIN_POINTS), key=len, reverse=True)
-    return [p for p in pieces if len(p) >= min_points] or pieces[:1]
+    return [p for p in pieces if len(p) >= _OBJECT_POINTS] or pieces[:1]

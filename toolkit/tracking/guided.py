@@ -166,8 +166,7 @@ class GuidedTracker(GivenPoses):
         """Restore an earlier `state`."""
         super().restore(state)
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
-        # Checkpoints of earlier versions have one part.
-        self._continue_in(int(state.get("part", 0)))
+        self._continue_in(int(state["part"]))
 
 
 def _exposure(models: list[ModelLevel], frames: list[FrameLevel], alignment: Alignment) -> Exposure:

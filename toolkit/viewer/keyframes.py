@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
 from toolkit.io.images import small_image
 from toolkit.keyframe import Keyframe
 from toolkit.runs.finished import FinishedRun
@@ -32,12 +31,10 @@ class SceneKeyframes:
     Attributes:
         keyframes: all keyframes of the readable submaps; some with images.
         splats: the Gaussians; `inferred` is set if the run used depth priors.
-        camera: intrinsics of the keyframes; None without keyframes.
     """
 
     keyframes: tuple[ShownKeyframe, ...]
     splats: ShownSplats
-    camera: Camera | None
 
 
 def shown_keyframes(run: FinishedRun, splats: ShownSplats, content: ShownContent) -> SceneKeyframes:
@@ -48,7 +45,6 @@ def shown_keyframes(run: FinishedRun, splats: ShownSplats, content: ShownContent
     poses = {frame.index: frame.T_map_camera for frame in run.tracked}
     wanted = set(spread(run.keyframes, content.images))
     found: list[ShownKeyframe] = []
-    camera = None
     evidence = DepthEvidence(splats)
     with_priors = run.settings.depth_prior.kind != "none"
     for submap in _submaps(run):
@@ -62,11 +58,10 @@ def shown_keyframes(run: FinishedRun, splats: ShownSplats, content: ShownContent
             found.append(ShownKeyframe(keyframe.index, T_map_camera, submap.number, image))
             if with_priors:
                 evidence.add(keyframe, T_map_camera, submap.number)
-            camera = camera or keyframe.camera
     if not found:
         found = [ShownKeyframe(i, poses[i]) for i in run.keyframes if i in poses]
     found.sort(key=lambda keyframe: keyframe.index)
-    return SceneKeyframes(tuple(found), replace(splats, inferred=evidence.inferred()), camera)
+    return SceneKeyframes(tuple(found), replace(splats, inferred=evidence.inferred()))
 
 
 def spread(numbers: list[int], count: int) -> list[int]:

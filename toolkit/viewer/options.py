@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from toolkit.options import NonNegativeInt, PositiveInt
 
@@ -19,6 +18,3 @@ class ShownContent:
     """Maximum number of keyframes that are shown with their image, evenly spaced."""
     image_width: PositiveInt = 240
     """Maximum width of keyframe images, in pixels."""
-    spz_axes: Literal["specified", "as-ply"] = "specified"
-    """Axes of a .spz file: those of its specification, or those of the .ply file that some programs
-    write without converting them (the map is upside down then)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -22,21 +22,18 @@ from toolkit.viewer.options import ShownContent
 from toolkit.viewer.scene import ShownLoop, ShownSplats, ShownTree, ViewerScene, path_states
 
 
-def read_scene(
-    path: Path, content: ShownContent, keep: Sequence[str] = (), drop: Sequence[str] = ()
-) -> ViewerScene:
+def read_scene(path: Path, content: ShownContent) -> ViewerScene:
     """Describe what a viewer shows of a finished run or of a splat file.
 
     Args:
         path: run folder, or a splat file (.ply, .splat, .spz).
         content: what is shown.
-        keep, drop: classes and groups that are kept or excluded; of run folders only.
 
     Raises:
-        ToolkitError: there is no finished run, the file is not a splat file, or a name is unknown.
+        ToolkitError: there is no finished run, or the file is not a splat file.
     """
     if not is_splat_file(path) and path.exists():
-        return run_scene(select(path, keep, drop), content)
+        return run_scene(select(path), content)
     if not path.exists():
         raise RunFolderError(f"{path} does not exist; give a run folder or a splat file")
     return file_scene(path, content)
@@ -72,7 +69,7 @@ def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScen
             {state.index for state in run.states if state.part != 0},
         ),
         keyframes=keyframes.keyframes,
-        camera=run.stored_camera or keyframes.camera,
+        camera=run.camera,
         loops=loops_between(
             run.folder.loops, {f.index: f.T_map_camera[:3, 3] for f in run.tracked}
         ),
@@ -83,7 +80,7 @@ def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScen
 
 def file_scene(path: Path, content: ShownContent) -> ViewerScene:
     """Describe a splat file, with classes if a taxonomy lies beside it."""
-    splats = read_splats(path, content.spz_axes)
+    splats = read_splats(path)
     shown = _file_splats(splats)
     tree = _tree_beside(path, splats.labels)
     if tree is None:

@@ -194,7 +194,7 @@ class ViewerScene:
         path: [M, 4, 4] float64 poses T_map_camera of the tracked frames.
         path_states: [M] uint8 state of the way to each pose (`path_states`); empty if unknown.
         keyframes: keyframes.
-        camera: intrinsics of the keyframes, for their frusta; None for a splat file.
+        camera: intrinsics of the run, for the frusta of its keyframes; None for a splat file.
         loops: verified loops.
         notes: lines about lost and doubtful frames, separate parts of the map and its unit.
         length: name of the unit of length.

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from walks import LOOP, walk
 
+from benchmarks.pose_graph_files import PoseGraphArrays, graph_of, poses_along
 from toolkit.geometry import se3
-from toolkit.io.pose_graphs import PoseGraphArrays
-from toolkit.loops.pose_graph.files import graph_of
 from toolkit.loops.pose_graph.graph import (
     PoseEdge,
     PoseGraph,
@@ -20,7 +19,6 @@ from toolkit.loops.pose_graph.graph import (
     covariance_in_frame,
     information_in_frame,
     information_of,
-    poses_along,
 )
 
 PATIENT = settings(deadline=None, max_examples=30)

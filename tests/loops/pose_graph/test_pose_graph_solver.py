@@ -13,10 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from walks import walk
 
+from benchmarks.pose_graph_files import graph_of, read_pose_graph
 from toolkit.errors import DependencyError, ToolkitError
 from toolkit.geometry import se3
-from toolkit.io.pose_graphs import read_pose_graph
-from toolkit.loops.pose_graph.files import graph_of
 from toolkit.loops.pose_graph.graph import PoseEdge, PoseGraph, information_of
 from toolkit.loops.pose_graph.solver import _KERNEL_WIDTH, kernel_weights, solve
 

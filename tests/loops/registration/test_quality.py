@@ -29,22 +29,19 @@ def wall(depth_m: float, class_id: int = 1) -> SubmapView:
 def test_a_wall_fits_itself():
     check = compare(wall(2.0), wall(2.0))
     assert check.pixels == 320
-    assert check.overlap == check.inliers == check.fitness == check.class_agreement == 1.0
-    assert check.rmse_m == 0.0
+    assert check.overlap == check.inliers == check.class_agreement == 1.0
 
 
 def test_a_wall_in_front_is_a_contradiction():
     check = compare(wall(1.5), wall(2.0))
     assert check.overlap == 1.0
     assert check.inliers == 0.0
-    assert np.isnan(check.rmse_m)
     assert np.isnan(check.class_agreement)
 
 
 def test_depth_and_class_are_judged_apart():
     check = compare(wall(2.0, class_id=1), wall(2.04, class_id=2))
     assert check.inliers == 1.0
-    assert check.rmse_m == pytest.approx(0.04, rel=1e-5)
     assert check.class_agreement == 0.0
 
 
@@ -63,18 +60,15 @@ def test_counts_add_up():
 
 def test_the_truth_fits_and_other_places_do_not(room: Scene, renderer):
     right = check_alignment(room.target, room.source, room.T_target_source, renderer)
-    assert right.fitness > 0.85
-    assert right.rmse_m < 0.03
+    assert right.agreeing > 0.85 * right.pixels
     off = room.T_target_source @ motion(1, 0.4, 15.0)
     wrong = check_alignment(room.target, room.source, off, renderer)
-    assert wrong.fitness < 0.6 * right.fitness
+    assert wrong.agreeing / wrong.pixels < 0.6 * right.agreeing / right.pixels
 
 
 def test_large_images_are_drawn_smaller(room: Scene, renderer, monkeypatch):
     monkeypatch.setattr(views, "_MAX_WIDTH", 100)
-    keyframe = room.source.keyframes[0]
-    assert renderer.camera_of(keyframe).size == (80, 60)
-    assert renderer.observed(keyframe).camera == renderer.camera_of(keyframe)
+    assert renderer.camera_of(room.source.keyframes[0]).size == (80, 60)
 
 
 def test_views_are_those_that_overlap(room: Scene):

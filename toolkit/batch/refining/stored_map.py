@@ -151,8 +151,8 @@ def _fetched(place: str, name: str, folder: str) -> Path:
 
 
 def _unit(place: str, frames: dict[str, Any]) -> LengthUnit:
-    """The unit in which the run worked; metres in runs of older versions."""
-    per_metre = frames.get("units_per_metre", 1.0)
+    """The unit in which the run worked."""
+    per_metre = frames.get("units_per_metre")
     if not isinstance(per_metre, float | int) or not 0.0 < per_metre < float("inf"):
         raise FormatError(f"{place}/frames.json: units_per_metre must be positive; run again")
     return LengthUnit(float(per_metre))
@@ -163,7 +163,7 @@ def _anchors(place: str, frames: dict[str, Any]) -> dict[int, Array]:
         anchors = {
             int(row["number"]): np.array(row["T_world_submap"], np.float64).reshape(4, 4)
             for row in frames["submaps"]
-            if not row["lost"] and row.get("part", 0) == 0
+            if not row["lost"] and row["part"] == 0
         }
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{place}/frames.json is damaged ({error!r}); run again") from error

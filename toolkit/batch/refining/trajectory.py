@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import IDENTITY, Exposure
+from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.trajectories import read_tum, write_tum
@@ -75,8 +75,8 @@ def _changes(frames: dict[str, Any], new: Mapping[int, Exposure]) -> dict[int, E
 
 
 def _exposure_of(row: dict[str, Any]) -> Exposure:
-    """Exposure of a submap relative to its map; older versions did not store it."""
-    return Exposure.from_values(row["exposure"]) if "exposure" in row else IDENTITY
+    """Exposure of a submap relative to its map."""
+    return Exposure.from_values(row["exposure"])
 
 
 def _anchor(T_world_submap: Array, exposure: Exposure) -> dict[str, Any]:

@@ -56,7 +56,6 @@ class ShutterEstimate:
         readout_sigma_s: its standard deviation; infinite if it is not determined.
         delay_s: seconds from the exposure of colour to that of depth.
         delay_sigma_s: its standard deviation; infinite if it is not determined.
-        windows: number of windows of frames that were used.
         period_s: median time between frames.
         fault: why the times are not determined; empty if they are.
     """
@@ -65,7 +64,6 @@ class ShutterEstimate:
     readout_sigma_s: float = float("inf")
     delay_s: float = 0.0
     delay_sigma_s: float = float("inf")
-    windows: int = 0
     period_s: float = 0.0
     fault: str = ""
 
@@ -77,11 +75,6 @@ class ShutterEstimate:
         # times of the frames.
         possible = _MIN_READOUT_S <= self.readout_s <= self.period_s
         return self.readout_s if certain and possible else 0.0
-
-    @property
-    def delay_is_certain(self) -> bool:
-        """Whether the delay differs from 0."""
-        return _CERTAIN * self.delay_sigma_s <= abs(self.delay_s)
 
     def __str__(self) -> str:
         if self.fault:
@@ -117,19 +110,13 @@ def estimate_shutter(frames: TimedFrames) -> ShutterEstimate:
         groups = [equations for equations in found if equations]
         if len(groups) < _MIN_WINDOWS:
             return ShutterEstimate(
-                windows=len(groups),
                 period_s=period_s,
                 fault=f"frames can be aligned in {len(groups)} of {len(starts)} windows",
             )
         correction, sigmas = _combined(groups, ShutterTimes.of(times))
         times = times + correction
     return ShutterEstimate(
-        float(times[0]),
-        float(sigmas[0]),
-        float(times[1]),
-        float(sigmas[1]),
-        len(groups),
-        period_s,
+        float(times[0]), float(sigmas[0]), float(times[1]), float(sigmas[1]), period_s
     )
 
 

@@ -73,7 +73,7 @@ class DepthAnything3Depth:
         confidence = None
         if found.conf is not None:
             values = np.ascontiguousarray(found.conf[number], np.float32)
-            confidence = Confidence(values, "from 1, without an upper limit", self._min_confidence)
+            confidence = Confidence(values, self._min_confidence)
         return DepthPrior(
             depth,
             DepthKind.METRIC if metric else DepthKind.SCALED,

@@ -108,11 +108,8 @@ class PairwiseDepth:
             ScaleScope.SET,
             self.model,
             _mapping(frame),
-            Confidence(
-                np.ascontiguousarray(confidence, np.float32),
-                "1 + exp(x) of the network, from 1, without an upper limit; the package uses 3",
-                self._min_confidence,
-            ),
+            # 1 + exp(x) of the network, without an upper limit; the package uses a minimum of 3.
+            Confidence(np.ascontiguousarray(confidence, np.float32), self._min_confidence),
         )
 
 

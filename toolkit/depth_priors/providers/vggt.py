@@ -78,11 +78,8 @@ class VggtDepth:
                 ScaleScope.SET,
                 self.model,
                 _mapping(frame),
-                Confidence(
-                    np.ascontiguousarray(confidence[n], np.float32),
-                    "1 + exp(x) of the network, from 1, without an upper limit",
-                    self._min_confidence,
-                ),
+                # 1 + exp(x) of the network, without an upper limit.
+                Confidence(np.ascontiguousarray(confidence[n], np.float32), self._min_confidence),
                 camera=camera_of(intrinsics[n], (depth.shape[2], depth.shape[1])),
             )
             for n, frame in enumerate(frames)

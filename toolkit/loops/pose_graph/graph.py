@@ -6,7 +6,7 @@ which is the submap's frame for the keyframes of a submap.
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -191,26 +191,6 @@ class PoseGraph:
     def at(self, T_world_node: Mapping[int, Array]) -> PoseGraph:
         """Copy of the graph with other poses."""
         return PoseGraph(T_world_node, self.edges, self.fixed)
-
-
-def poses_along(edges: Iterable[PoseEdge], start: int, T_world_start: Array) -> dict[int, Array]:
-    """Compose poses along edges for all nodes connected to `start` (breadth-first search).
-
-    Each node uses a shortest path; ties are resolved by the order of the edges.
-    """
-    neighbours: dict[int, list[tuple[int, Array]]] = defaultdict(list)
-    for edge in edges:
-        neighbours[edge.first].append((edge.second, edge.T_first_second))
-        neighbours[edge.second].append((edge.first, se3.inverse(edge.T_first_second)))
-    poses = {start: np.array(T_world_start, dtype=np.float64)}
-    waiting = deque([start])
-    while waiting:
-        node = waiting.popleft()
-        for other, T_node_other in neighbours[node]:
-            if other not in poses:
-                poses[other] = se3.orthonormalise(poses[node] @ T_node_other)
-                waiting.append(other)
-    return poses
 
 
 def _symmetric_inverse(matrix: Array) -> Array:

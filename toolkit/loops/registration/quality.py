@@ -32,7 +32,6 @@ class AlignmentCheck:
         pixels: number of source pixels with a surface.
         overlapping: number of these that project onto a surface of the target.
         agreeing: number of overlapping pixels whose depths agree.
-        squares_m2: sum of the squared depth differences of agreeing pixels.
         labelled: number of agreeing pixels with a class in both maps.
         same_class: number of labelled pixels with the same class.
         views: number of views.
@@ -41,7 +40,6 @@ class AlignmentCheck:
     pixels: int = 0
     overlapping: int = 0
     agreeing: int = 0
-    squares_m2: float = 0.0
     labelled: int = 0
     same_class: int = 0
     views: int = 0
@@ -59,16 +57,6 @@ class AlignmentCheck:
     def inliers(self) -> float:
         """Fraction of the overlapping pixels whose depths agree."""
         return self.agreeing / max(self.overlapping, 1)
-
-    @property
-    def fitness(self) -> float:
-        """Fraction of the source's pixels that lie on the target's surface (as in Open3D)."""
-        return self.agreeing / max(self.pixels, 1)
-
-    @property
-    def rmse_m(self) -> float:
-        """Root mean square depth difference of the agreeing pixels; nan without any."""
-        return float(np.sqrt(self.squares_m2 / self.agreeing)) if self.agreeing else float("nan")
 
     @property
     def class_agreement(self) -> float:
@@ -128,7 +116,6 @@ def compare(
         pixels=pixels,
         overlapping=int(both.sum()),
         agreeing=int(agree.sum()),
-        squares_m2=float((difference[agree].astype(np.float64) ** 2).sum()),
         labelled=labelled,
         same_class=same,
         views=1,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.levels import halved, keyframe_level, view_level
+from toolkit.alignment.levels import view_level
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
@@ -89,18 +89,6 @@ class ViewRenderer:
             return SubmapView(level)
         class_ids = self._semantics.decode_view(surface).class_ids
         return SubmapView(level, class_ids.reshape(camera.height, camera.width))
-
-    def observed(self, keyframe: Keyframe) -> SubmapView:
-        """The observed images of a keyframe, at the size of the renderings."""
-        level = keyframe_level(keyframe)
-        labels = None
-        if self._semantics is not None and keyframe.labels is not None:
-            labels = keyframe.labels.numpy()
-        while level.camera.width > _MAX_WIDTH:
-            level = halved(level)
-            if labels is not None:
-                labels = labels[::2, ::2][: level.camera.height, : level.camera.width]
-        return SubmapView(level, labels)
 
 
 def views_of_overlap(

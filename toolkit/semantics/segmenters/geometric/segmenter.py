@@ -57,17 +57,6 @@ class GeometricSegmenter:
         options = self._options
         return Room((options.min_camera_height_m, options.max_camera_height_m))
 
-    @property
-    def up(self) -> NDArray[np.float64] | None:
-        """Estimate [3] of the up direction in the map frame, None before the first frame."""
-        direction = self._room.up.direction
-        return direction.copy() if direction.any() else None
-
-    @property
-    def floor_m(self) -> float | None:
-        """Height of the floor along `up` from the map's origin, None if unknown."""
-        return self._room.floor_height_m
-
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:

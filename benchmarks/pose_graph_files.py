@@ -17,6 +17,8 @@ weight.
 from __future__ import annotations
 
 import os
+from collections import defaultdict, deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +27,7 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError
 from toolkit.geometry import se3
 from toolkit.io.trajectories import text_lines
+from toolkit.loops.pose_graph.graph import PoseEdge, PoseGraph
 
 PathLike = str | os.PathLike[str]
 Array = NDArray[np.float64]
@@ -99,6 +102,50 @@ def read_pose_graph(path: PathLike) -> PoseGraphArrays:
         information=np.array(informations),
         fixed=np.array(fixed, dtype=np.int64),
     )
+
+
+def poses_along(edges: Sequence[PoseEdge], start: int, T_world_start: Array) -> dict[int, Array]:
+    """Compose poses along edges for all nodes connected to `start` (breadth-first search).
+
+    Each node uses a shortest path; ties are resolved by the order of the edges.
+    """
+    neighbours: dict[int, list[tuple[int, Array]]] = defaultdict(list)
+    for edge in edges:
+        neighbours[edge.first].append((edge.second, edge.T_first_second))
+        neighbours[edge.second].append((edge.first, se3.inverse(edge.T_first_second)))
+    poses = {start: np.array(T_world_start, dtype=np.float64)}
+    waiting = deque([start])
+    while waiting:
+        node = waiting.popleft()
+        for other, T_node_other in neighbours[node]:
+            if other not in poses:
+                poses[other] = se3.orthonormalise(poses[node] @ T_node_other)
+                waiting.append(other)
+    return poses
+
+
+def graph_of(arrays: PoseGraphArrays) -> PoseGraph:
+    """Build a pose graph from file arrays; edges k to k + 1 are odometry, all others loops.
+
+    If the file has no poses, they are composed along the edges. The fixed node is the first fixed
+    node in the file, or else the lowest node number.
+
+    Raises:
+        ValueError: an edge or the graph is invalid (see `PoseEdge` and `PoseGraph`).
+    """
+    edges = tuple(
+        PoseEdge(int(i), int(j), T, information)
+        if j == i + 1
+        else PoseEdge.loop(int(i), int(j), T, information)
+        for (i, j), T, information in zip(
+            arrays.edges, arrays.T_first_second, arrays.information, strict=True
+        )
+    )
+    poses = {int(n): T for n, T in zip(arrays.nodes, arrays.T_world_node, strict=True)}
+    if not poses:
+        poses = poses_along(edges, int(arrays.edges.min()), np.eye(4))
+    fixed = int(arrays.fixed[0]) if len(arrays.fixed) else None
+    return PoseGraph(poses, edges, fixed)
 
 
 def _numbers(
