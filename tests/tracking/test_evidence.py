@@ -15,7 +15,7 @@ from toolkit.tracking.evidence import doubt_reason, is_clear, quality
 from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.result import Health
 
-RIGHT = Similarity(0.95, 0.85, 60, 0.8, 0.95, 0.03, 0.02)
+RIGHT = Similarity(0.95, 0.85, 60, 0.8, 0.95)
 
 
 def test_good_evidence_is_clear_and_leaves_no_doubt():

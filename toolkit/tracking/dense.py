@@ -26,14 +26,11 @@ from toolkit.alignment.data import (
 )
 from toolkit.alignment.exposure import estimate_exposure
 from toolkit.alignment.health import HealthLimits
-from toolkit.alignment.levels import model_level, pyramid, view_level
 from toolkit.errors import DependencyError
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.stages import Stage
 from toolkit.tracking.evidence import is_clear, is_convincing, quality, unexpected_reason
 from toolkit.tracking.health import has_depth, relaxed_scales
@@ -45,7 +42,7 @@ from toolkit.tracking.prepared import PreparedFrames
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.rotation_search import rotated_starts, wide_camera
-from toolkit.tracking.views import RenderedView, Task
+from toolkit.tracking.views import MapRenderer, RenderedView, Task
 
 _log = logging.getLogger(__name__)
 
@@ -54,8 +51,6 @@ _log = logging.getLogger(__name__)
 # new one. At 0.05, recordings take up to a fifth less time online and are as accurate, but images
 # of a noisy ring of 160x120 pixels lose 2 dB before the refinement.
 _RENDERS, _RERENDER_DISTANCE = 3, 0.02
-# Minimum silhouette of the rendered pixels that frames are aligned to.
-_MIN_SILHOUETTE = 0.9
 # Maximum depth difference of corresponding pixels at the finest level, as a fraction of depth. It
 # doubles with every coarser level.
 _MAX_DISTANCE = 0.05
@@ -88,8 +83,8 @@ class DenseTracker(MovingTracker):
         super().__init__(limits)
         self.options = options or DenseOptions()
         self._prepared = PreparedFrames(self.options.levels)
-        self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
+        self._renderer = MapRenderer(backend_name, self._recorder)
         self._scales = INITIAL_SCALES
         self._exposure = IDENTITY
 
@@ -233,17 +228,8 @@ class DenseTracker(MovingTracker):
                 return
 
     def _render(self, task: Task, T_map_view: NDArray[np.float64]) -> RenderedView:
-        return self._view(task, T_map_view, task.frame.camera, self.options.levels)
-
-    def _view(
-        self, task: Task, T_map_view: NDArray[np.float64], camera: Camera, levels: int
-    ) -> RenderedView:
-        T_view_map = se3.inverse(T_map_view)
-        with self._recorder.timed(Stage.TRACKING_RENDER):
-            options = RenderOptions(_MIN_SILHOUETTE)
-            surface = render_surface(self._backend, task.gaussians, camera, T_view_map, options)
-            images = pyramid(view_level(surface, _MIN_SILHOUETTE), levels)
-            return RenderedView(T_map_view.copy(), [model_level(level) for level in images])
+        camera, levels = task.frame.camera, self.options.levels
+        return self._renderer.view(task.gaussians, camera, T_map_view, levels)
 
     def _best_start(
         self, task: Task, view: RenderedView, starts: tuple[NDArray[np.float64], ...]
@@ -287,7 +273,7 @@ class DenseTracker(MovingTracker):
         if not levels:
             return
         camera = wide_camera(task.frame.camera)
-        view = self._view(task, start, camera, len(levels))
+        view = self._renderer.view(task.gaussians, camera, start, len(levels))
         options = replace(
             self._alignment_options,
             max_distance=_MAX_DISTANCE * 2**_SEARCH_LEVEL,

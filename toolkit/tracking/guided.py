@@ -21,22 +21,21 @@ from toolkit.alignment.data import (
     ModelLevel,
 )
 from toolkit.alignment.exposure import estimate_exposure
-from toolkit.alignment.levels import finest_level, model_level, pyramid, view_level
+from toolkit.alignment.levels import finest_level, pyramid
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.stages import Stage
 from toolkit.tracking.given import GivenPoses
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import TrackingResult
+from toolkit.tracking.views import MapRenderer, RenderedView
 
 # Given poses are wrong by one or two pixels.
 _LEVELS = 2
 _ITERATIONS = 10
-_MIN_SILHOUETTE = 0.9
 # Fraction of the image that the map must cover.
 _MIN_COVERED = 0.3
 _MAX_DISTANCE = 0.1
@@ -67,8 +66,8 @@ class GuidedTracker(GivenPoses):
     ) -> None:
         super().__init__(trajectories[0])
         self._trajectories, self._part = trajectories, 0
-        self._backend = backend(backend_name)
         self._recorder = recorder or NullRecorder()
+        self._renderer = MapRenderer(backend_name, self._recorder)
         self._exposure = IDENTITY
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
@@ -108,13 +107,10 @@ class GuidedTracker(GivenPoses):
         if given.lost:
             return given
         T_map_view = given.T_map_camera
-        with self._recorder.timed(Stage.TRACKING_RENDER):
-            options = RenderOptions(_MIN_SILHOUETTE)
-            T_view_map = se3.inverse(T_map_view)
-            surface = render_surface(self._backend, gaussians, frame.camera, T_view_map, options)
-            view = view_level(surface, _MIN_SILHOUETTE)
-        known = view.depth_m[view.depth_m > 0]
-        if len(known) < _MIN_COVERED * view.depth_m.numel():
+        view = self._renderer.view(gaussians, frame.camera, T_map_view, _LEVELS)
+        depth_m = view.images[0].depth_m
+        known = depth_m[depth_m > 0]
+        if len(known) < _MIN_COVERED * depth_m.numel():
             return given
         with self._recorder.timed(Stage.TRACKING_ALIGN):
             found, exposure = self._aligned(frame, view)
@@ -139,12 +135,11 @@ class GuidedTracker(GivenPoses):
             exposure=exposure,
         )
 
-    def _aligned(self, frame: Frame, view: FrameLevel) -> tuple[Alignment, Exposure]:
+    def _aligned(self, frame: Frame, view: RenderedView) -> tuple[Alignment, Exposure]:
         """The frame's pose relative to a view of the map, and its exposure."""
-        own = finest_level(frame, view.depth_m.device)
-        views = pyramid(view, _LEVELS)
-        models = [model_level(level) for level in views]
-        frames = pyramid(FrameLevel(frame.camera, own.intensity, view.depth_m), _LEVELS)
+        models, depth_m = view.levels, view.images[0].depth_m
+        own = finest_level(frame, depth_m.device)
+        frames = pyramid(FrameLevel(frame.camera, own.intensity, depth_m), _LEVELS)
         # The given pose is good enough to detect a sudden change of exposure.
         unaligned = Alignment(np.eye(4), INITIAL_SCALES, self._exposure)
         start = _exposure(models, frames, unaligned)

@@ -8,20 +8,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel, ModelLevel
-from toolkit.frame import Frame
+from toolkit.alignment.levels import model_level, pyramid, view_level
+from toolkit.frame import Frame, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.rendering import RenderOptions, backend, render_surface
+from toolkit.stages import Stage
 from toolkit.tracking.prepared import PreparedFrame
 
 Array = NDArray[np.float64]
 
+# Minimum silhouette of the rendered pixels that frames are aligned to.
+_MIN_SILHOUETTE = 0.9
+
 
 @dataclass(frozen=True)
 class RenderedView:
-    """The map rendered at a pose: image pyramid from fine to coarse."""
+    """The map rendered at a pose.
+
+    Attributes:
+        T_map_view: [4, 4].
+        images: pyramid from fine to coarse; intensity and depth are 0 where the map is missing.
+        levels: the same with derivatives and planes, which frames are aligned to.
+    """
 
     T_map_view: Array
+    images: list[FrameLevel]
     levels: list[ModelLevel]
+
+
+class MapRenderer:
+    """Renders the views that frames are aligned to."""
+
+    def __init__(self, backend_name: str, recorder: Recorder) -> None:
+        self._backend, self._recorder = backend(backend_name), recorder
+
+    def view(
+        self, gaussians: GaussianCloud, camera: Camera, T_map_view: Array, levels: int
+    ) -> RenderedView:
+        """Render Gaussians from a pose [4, 4], at a number of pyramid levels."""
+        with self._recorder.timed(Stage.TRACKING_RENDER):
+            options, T_view_map = RenderOptions(_MIN_SILHOUETTE), se3.inverse(T_map_view)
+            surface = render_surface(self._backend, gaussians, camera, T_view_map, options)
+            images = pyramid(view_level(surface, _MIN_SILHOUETTE), levels)
+            return RenderedView(T_map_view.copy(), images, [model_level(i) for i in images])
 
 
 @dataclass(frozen=True)
