@@ -31,8 +31,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopScore, LoopTruthOptions, true_intervals
 from toolkit.evaluation.run_loops import true_views
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.colour_histogram import ColourHistogramEncoder
+from toolkit.features.builtin import BuiltinEncoder, ColourHistogramEncoder
 from toolkit.features.dinov2 import Dinov2Encoder
 from toolkit.features.encoder import Encoder
 from toolkit.features.vlad import VladEncoder

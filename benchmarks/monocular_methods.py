@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from benchmarks.recordings import opened
 from toolkit.alignment.levels import intensity_of
 from toolkit.datasets.base import RecordedDataset
-from toolkit.evaluation.memory import peak_memory_mb
+from toolkit.evaluation.frame_costs import peak_memory_mb
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera

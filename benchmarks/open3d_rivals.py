@@ -22,7 +22,7 @@ import tyro
 from numpy.typing import NDArray
 
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.memory import peak_memory_mb
+from toolkit.evaluation.frame_costs import peak_memory_mb
 from toolkit.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
 from toolkit.frame import Frame
 from toolkit.geometry import se3

@@ -28,8 +28,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import LoopTruthOptions, true_intervals
 from toolkit.evaluation.run_loops import accepted_edges, true_views
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.colour_histogram import ColourHistogramEncoder
+from toolkit.features.builtin import BuiltinEncoder, ColourHistogramEncoder
 from toolkit.features.encoder import Encoder
 from toolkit.features.keypoints import detect_keypoints, similarity_votes
 from toolkit.features.vlad import VladEncoder

@@ -21,9 +21,8 @@ from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.images import masked_psnr_db, mean_or_none, psnr_db
+from toolkit.evaluation.images import balanced, masked_psnr_db, mean_or_none, psnr_db
 from toolkit.evaluation.run_metrics import TrackedFrame
-from toolkit.evaluation.white_balance import balanced
 from toolkit.exposure import Exposure
 from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3

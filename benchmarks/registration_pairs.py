@@ -23,9 +23,8 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.io.trajectories import read_tum
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
 from toolkit.submaps.submap import Submap

@@ -16,9 +16,9 @@ from benchmarks.tables import Table, Target, target_table
 from toolkit.datasets.registry import open_dataset
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.optimisation import Objective
+from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.options import validated
 from toolkit.rendering import backend
 from toolkit.runs.settings import RunSettings

@@ -24,7 +24,7 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.loops.pose_graph.chi_square import quantile
+from toolkit.loops.pose_graph.consistency import quantile
 from toolkit.options import validated
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings

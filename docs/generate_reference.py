@@ -33,7 +33,7 @@ API = {
         "toolkit.slam.result.SlamResult",
         "toolkit.slam.result.FrameResult",
     ),
-    "Real time": ("toolkit.pacing.paced.PacedSlam", "toolkit.pacing.record.PaceSummary"),
+    "Real time": ("toolkit.pacing.paced.PacedSlam", "toolkit.pacing.delays.PaceSummary"),
     "Live cameras and observers": (
         "toolkit.live.execution.run_live",
         "toolkit.live.camera.LiveCamera",
@@ -56,7 +56,7 @@ API = {
     "Geometry": (
         "toolkit.geometry.camera.Camera",
         "toolkit.geometry.trajectory.Trajectory",
-        "toolkit.geometry.frustum_occupancy.inside_frustum",
+        "toolkit.geometry.frustum.inside_frustum",
     ),
 }
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Yields):\s*$")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from toolkit.alignment.constraint import weakest_rise
+from toolkit.alignment.covariance import weakest_rise
 from toolkit.alignment.data import FrameLevel, LevelProblem, ResidualScales
 from toolkit.alignment.levels import model_level
 from toolkit.exposure import IDENTITY

@@ -14,8 +14,8 @@ from toolkit.alignment.exposure import (
     exposure_between_images,
     intensity_statistics,
 )
+from toolkit.alignment.gauss_newton import BIAS, GAIN
 from toolkit.alignment.levels import model_level, pyramid
-from toolkit.alignment.normal_equations import BIAS, GAIN
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry.camera import Camera
 

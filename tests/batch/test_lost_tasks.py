@@ -12,11 +12,16 @@ from typing import Any
 
 import pytest
 
-from toolkit.batch.on_ray import OnRay
 from toolkit.batch.options import RayOptions
 from toolkit.batch.plan import Resources
 from toolkit.batch.process import RunJob, execute_run
-from toolkit.batch.ray_cluster import ProcessKilledError, RayCluster, TaskResources, ray_cluster
+from toolkit.batch.ray_cluster import (
+    OnRay,
+    ProcessKilledError,
+    RayCluster,
+    TaskResources,
+    ray_cluster,
+)
 from toolkit.errors import ToolkitError
 
 
@@ -142,7 +147,7 @@ def test_a_run_without_memory_is_named_while_the_others_finish(tmp_path, monkeyp
             raise OutOfMemoryError
         return SimpleNamespace(name=job.name, reason="", time_s=1.0, killed=False)
 
-    monkeypatch.setattr("toolkit.batch.on_ray.execute_run", executed)
+    monkeypatch.setattr("toolkit.batch.ray_cluster.execute_run", executed)
     ray = FakeRay()
     executor = OnRay(RayCluster(ray), Resources(threads=1, memory_gb=2.0, retries=1))
     outcomes = {outcome.name: outcome.reason for outcome in executor.execute(jobs)}

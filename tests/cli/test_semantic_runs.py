@@ -15,7 +15,7 @@ from test_finished_run_programs import one_line_of_error
 from toolkit.cli.main import main
 from toolkit.evaluation.metrics import flattened
 from toolkit.io.splats import read_splats
-from toolkit.mapping import factory
+from toolkit.mapping import semantic_mapping
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
 from toolkit.synthetic_rooms import tiny_room
@@ -174,7 +174,7 @@ def test_labels_are_rendered_at_every_level(run, tmp_path):
 
 
 def test_the_network_can_read_the_map(labelled_recording, tmp_path, monkeypatch):
-    monkeypatch.setattr(factory, "_LEARNING_RATE", 0.03)
+    monkeypatch.setattr(semantic_mapping, "_LEARNING_RATE", 0.03)
     network = ["--semantics.network.use", "--semantics.reader", "network"]
     fast = ["--semantics.loss.inter-from", "1"]
     pace = ["--mapping.first-iterations", "50", "--mapping.final-iterations", "8"]

@@ -7,7 +7,7 @@ import pytest
 from moving_camera import film, walk
 
 from toolkit.alignment.levels import intensity_of
-from toolkit.depth_priors import consensus, fattening, plane_sweep
+from toolkit.depth_priors import coarse_to_fine, consensus, plane_sweep
 from toolkit.depth_priors.problem import Image, NeighbourView
 from toolkit.geometry import se3
 from toolkit.native import load_variant
@@ -37,5 +37,5 @@ def relative_error(inverse_depth: Image, number: int) -> np.ndarray:
 def use_kernels(monkeypatch: pytest.MonkeyPatch, name: str | None) -> None:
     """Use the kernels of one instruction set, or the reference."""
     variant = None if name is None else load_variant(name)
-    for module in (plane_sweep, consensus, fattening):
+    for module in (plane_sweep, consensus, coarse_to_fine):
         monkeypatch.setattr(module, "kernels", lambda: variant)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from swept_box import use_kernels
 
-from toolkit.depth_priors.fattening import remove_fattening
+from toolkit.depth_priors.coarse_to_fine import remove_fattening
 from toolkit.native import available_instruction_sets
 
 EVERY = pytest.mark.parametrize("name", [None, *available_instruction_sets()])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from toolkit.errors import FormatError
-from toolkit.evaluation.memory import peak_memory_mb
+from toolkit.evaluation.frame_costs import peak_memory_mb
 from toolkit.evaluation.metrics import (
     RunCosts,
     ViewQuality,

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import confusion_matrix, jaccard_score
 
+from toolkit.evaluation.frame_costs import gaussian_bytes
 from toolkit.evaluation.segmentation import (
     Segmentation,
     class_iou,
@@ -16,7 +17,6 @@ from toolkit.evaluation.segmentation import (
     segmentation_metrics,
     visible_classes,
 )
-from toolkit.evaluation.storage import gaussian_bytes
 from toolkit.semantics.taxonomy import Taxonomy
 
 TREE = Taxonomy(

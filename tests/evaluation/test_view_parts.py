@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.evaluation.images import masked_psnr_db, psnr_db
+from toolkit.evaluation.images import balanced, masked_psnr_db, psnr_db
 from toolkit.evaluation.metrics import image_metrics, view_quality
-from toolkit.evaluation.white_balance import balanced
 
 
 def view() -> np.ndarray:

@@ -6,8 +6,7 @@ import pytest
 import torch
 from places import place
 
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.colour_histogram import ColourHistogramEncoder
+from toolkit.features.builtin import BuiltinEncoder, ColourHistogramEncoder
 
 
 @pytest.fixture(params=["builtin", "colour-histogram", "dinov2-class", "dinov2-mean"])

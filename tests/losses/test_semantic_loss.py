@@ -9,7 +9,7 @@ import torch
 from toolkit.losses import semantic
 from toolkit.losses.photometric import ssim_torch
 from toolkit.losses.semantic import SemanticLoss, semantic_loss_torch
-from toolkit.mapping.factory import build_semantic_mapping
+from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.native import available_instruction_sets, load_variant
 from toolkit.semantics.codes import ColourCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder

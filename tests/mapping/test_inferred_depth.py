@@ -12,9 +12,8 @@ from painted_box import box_frames
 
 from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
-from toolkit.losses.depth_gradient import by_observed_depth, weigh_depth
 from toolkit.losses.options import RgbdLossWeights
-from toolkit.losses.photometric import rgbd_loss_torch
+from toolkit.losses.photometric import by_observed_depth, rgbd_loss_torch, weigh_depth
 from toolkit.mapping.options import DepthAdjustmentOptions, MapperOptions
 from toolkit.native.constants import DEPTH_SUM, SILHOUETTE
 

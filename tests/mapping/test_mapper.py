@@ -18,8 +18,8 @@ from toolkit.keyframe import Keyframe
 from toolkit.losses import photometric
 from toolkit.mapping import optimisation, sparse_adam
 from toolkit.mapping.densification import prune_mask
+from toolkit.mapping.final_optimisation import Surfaces
 from toolkit.mapping.options import KeyframePolicy, MapperOptions
-from toolkit.mapping.surfaces import Surfaces
 from toolkit.rendering import surface
 from toolkit.rendering.texture import resample_at_centres
 

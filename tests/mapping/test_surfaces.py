@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from toolkit.mapping.surfaces import Surfaces
+from toolkit.mapping.final_optimisation import Surfaces
 
 
 def grid(normal_to: int) -> torch.Tensor:

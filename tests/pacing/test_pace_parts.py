@@ -14,10 +14,9 @@ from toolkit.exposure import IDENTITY
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.deferred import DeferredSteps, StepCounts
-from toolkit.pacing.clock import MonotonicClock
+from toolkit.pacing.clock import ArrivalSchedule, MonotonicClock
+from toolkit.pacing.delays import FrameDelay, PaceRecord, PaceSummary, count_of
 from toolkit.pacing.paced import outcome_of
-from toolkit.pacing.record import FrameDelay, PaceRecord, PaceSummary, count_of
-from toolkit.pacing.schedule import ArrivalSchedule
 from toolkit.slam.result import FrameResult
 from toolkit.tracking.result import Health, not_tracked
 

@@ -10,7 +10,7 @@ from labelled_room import TAXONOMY, gaussians_at, labelled, room_parts
 
 from toolkit.io.length_names import METRES
 from toolkit.io.splats import write_splat_ply
-from toolkit.runs.floor_plans import report_floor_plan
+from toolkit.runs.report_pictures import report_floor_plan
 
 
 def test_a_run_with_labels_reports_its_floor_plan(tiny_run):

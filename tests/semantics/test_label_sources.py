@@ -14,8 +14,8 @@ from toolkit.errors import DatasetError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import write_png
+from toolkit.semantics.segmenters.dataset_labels import RecordedLabels
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder
-from toolkit.semantics.segmenters.recorded import RecordedLabels
 
 WIDTH, HEIGHT = 16, 12
 CAMERA = Camera(20.0, 20.0, 7.5, 5.5, WIDTH, HEIGHT)

@@ -12,10 +12,10 @@ from toolkit.io.images import write_png
 from toolkit.options import validated
 from toolkit.semantics.factory import build_segmenter
 from toolkit.semantics.options import SegmenterOptions
+from toolkit.semantics.segmenters.dataset_labels import RecordedLabels
 from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegmenter
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder
-from toolkit.semantics.segmenters.recorded import RecordedLabels
-from toolkit.semantics.segmenters.unlabelled import Unlabelled
+from toolkit.semantics.segmenters.segmenter import Unlabelled
 
 
 def settings(**values) -> SegmenterOptions:

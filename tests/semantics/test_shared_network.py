@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.semantics.decoder import NetworkDecoder
-from toolkit.semantics.replay import ReplayMemory
+from toolkit.semantics.decoder import NetworkDecoder, ReplayMemory
 
 CLASSES, CHANNELS = 9, 6
 FIRST, SECOND = range(1, 6), range(6, 10)

@@ -12,9 +12,9 @@ import numpy as np
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
+from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.options import validated
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.options import SegmenterOptions, SemanticsOptions

@@ -22,14 +22,12 @@ from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.trees import shipped_taxonomy
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
-from toolkit.submaps.allocation import Allocation, path_length_m
+from toolkit.submaps.allocation import Allocation, path_length_m, view_overlap
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.factory import allocation_options
 from toolkit.submaps.optimiser_state import OptimiserState
 from toolkit.submaps.options import AllocationOptions, BoundaryOptions
-from toolkit.submaps.overlap import view_overlap
-from toolkit.submaps.saved import SavedSubmaps
-from toolkit.submaps.store import SubmapStore
+from toolkit.submaps.store import SavedSubmaps, SubmapStore
 from toolkit.submaps.submap import Submap
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.tracking.given import GivenPoses

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from toolkit.native import available_instruction_sets, load_variant
-from toolkit.tracking import depth_gaps
-from toolkit.tracking.depth_filter import denoised
-from toolkit.tracking.depth_gaps import without_gaps
+from toolkit.tracking import depth_filter
+from toolkit.tracking.depth_filter import denoised, without_gaps
 
 
 def slanted() -> np.ndarray:
@@ -53,7 +52,7 @@ def test_the_kernels_fill_the_same_gaps(name: str, monkeypatch: pytest.MonkeyPat
     inverse[np.random.default_rng(0).random(inverse.shape) < 0.3] = 0.0
     filled = []
     for variant in (None, load_variant(name)):
-        monkeypatch.setattr(depth_gaps, "kernels", lambda variant=variant: variant)
+        monkeypatch.setattr(depth_filter, "kernels", lambda variant=variant: variant)
         filled.append(without_gaps(inverse))
     assert 0.5 < (filled[0] > 0)[inverse == 0].mean() < 1.0
     np.testing.assert_allclose(*filled, rtol=1e-6)

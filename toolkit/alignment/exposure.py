@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.backend import linearise
 from toolkit.alignment.data import FrameLevel, LevelProblem, ModelLevel, ResidualScales
-from toolkit.alignment.normal_equations import BIAS, GAIN
+from toolkit.alignment.gauss_newton import BIAS, GAIN
 from toolkit.exposure import IDENTITY, Exposure
 
 # Smaller changes of contrast are ignored, because noise and smoothness change the contrast too.

@@ -22,8 +22,13 @@ from toolkit.alignment.data import (
     ResidualScales,
     rescaled,
 )
-from toolkit.alignment.gauss_newton import coarse_to_fine, is_small
-from toolkit.alignment.normal_equations import add_exposure_prior, damped_step, fix_exposure
+from toolkit.alignment.gauss_newton import (
+    add_exposure_prior,
+    coarse_to_fine,
+    damped_step,
+    fix_exposure,
+    is_small,
+)
 from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 

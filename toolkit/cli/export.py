@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from toolkit.cli.map_programs import ExportOptions
-from toolkit.exports.floors import export_occupancy_grid
-from toolkit.exports.plan import export_floor_plan
+from toolkit.exports.floors import export_floor_plan, export_occupancy_grid
 from toolkit.exports.scene_graph import export_scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
 from toolkit.exports.surfaces import export_gltf, export_labelled_points

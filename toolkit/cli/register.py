@@ -30,7 +30,7 @@ from toolkit.loops.two_maps import (
 )
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.merged_map import label_conflict, merge, shared_semantics
-from toolkit.submaps.saved import SavedSubmaps
+from toolkit.submaps.store import SavedSubmaps
 
 _log = logging.getLogger(__name__)
 

@@ -81,8 +81,7 @@ def _executor(options: RunManyOptions, planned: PlannedRuns) -> Iterator[Executo
     if not options.use_ray:
         yield Sequential()
         return
-    from toolkit.batch.on_ray import OnRay
-    from toolkit.batch.ray_cluster import ray_cluster
+    from toolkit.batch.ray_cluster import OnRay, ray_cluster
 
     with ray_cluster(options.ray) as cluster:
         yield OnRay(cluster, planned.resources)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
+import cv2
 import numpy as np
 
 from toolkit.datasets.base import RecordedDataset, Recording
-from toolkit.datasets.decoder_warnings import decoder_warning
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.findings import (
@@ -272,3 +276,24 @@ def _summary(dataset: RecordedDataset, findings: _Findings) -> tuple[str, ...]:
             f"labels: {len(findings.label_ids - {0})} of {len(dataset.label_names)} classes occur"
         )
     return tuple(lines)
+
+
+def decoder_warning(path: Path) -> str:
+    """Return the decoder's warnings about a file; empty if it is intact or not a JPEG.
+
+    The stderr of the process is redirected meanwhile, so this must not be called while other
+    threads write to it.
+    """
+    if path.suffix.lower() not in (".jpg", ".jpeg"):
+        return ""
+    sys.stderr.flush()
+    stderr = os.dup(2)
+    with tempfile.TemporaryFile() as diverted:
+        os.dup2(diverted.fileno(), 2)
+        try:
+            cv2.imread(str(path), cv2.IMREAD_COLOR)
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        diverted.seek(0)
+        return diverted.read().decode("utf-8", "replace").strip()

@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.depth_priors.fattening import remove_fattening
+from toolkit.depth_priors import native, reference
 from toolkit.depth_priors.plane_sweep import double_depth, plane_sweep
 from toolkit.depth_priors.problem import Image, NeighbourView, Planes, SweepOptions
 from toolkit.geometry.camera import Camera
+from toolkit.native.loading import kernels
 
 # Motion in the half image from one plane to the next, for the source with the longest baseline.
 _STEP_PX = 1.0
@@ -126,3 +127,39 @@ def _half_depth(
     known = (found.plane >= 0) & (found.plane < count - 1)
     inverse_depth = np.float32(far) + found.plane * np.float32(step)
     return step, np.where(known, inverse_depth, np.float32(0.0))
+
+
+# Width of the wrong borders: half a window of the image of half the size.
+_WIDTH = 6
+# Ratio of the inverse depths of neighbouring pixels on different surfaces.
+_EDGE = 1.05
+
+
+def remove_fattening(intensity: Image, inverse_depth: Image) -> Image:
+    """Remove the depth of pixels that belong to the surface behind the one of their depth.
+
+    Pixels on the near side of a depth edge are compared with both surfaces, of which they have the
+    intensity that is more frequent there.
+
+    Args:
+        intensity: [H, W] float32 in [0, 1].
+        inverse_depth: [H, W] float32, 0 where unknown.
+
+    Returns:
+        [H, W] float32 inverse depth, 0 where unknown or removed.
+    """
+    # A 3x3 window beside a depth edge shows what is behind it.
+    known = np.where(inverse_depth > 0, inverse_depth, np.float32(np.inf))
+    far = _least(known, 3)
+    edge = (known < np.inf) & (known > np.float32(_EDGE) * far)
+    behind = _least(np.where(edge, far, np.float32(np.inf)), 2 * _WIDTH + 1)
+    module = kernels()
+    if module is None:
+        return reference.remove_fattening(intensity, inverse_depth, behind)
+    return native.remove_fattening(module, intensity, inverse_depth, behind)
+
+
+def _least(image: Image, side: int) -> Image:
+    """Least value [H, W] of the square around each pixel."""
+    square = np.ones((side, side), np.uint8)
+    return np.asarray(cv2.erode(image, square, borderType=cv2.BORDER_REPLICATE), np.float32)

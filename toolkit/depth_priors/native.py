@@ -57,7 +57,7 @@ def double_depth(
 def remove_fattening(
     kernels: ModuleType, intensity: Image, inverse_depth: Image, behind: Image
 ) -> Image:
-    """See `toolkit.depth_priors.fattening.remove_fattening`."""
+    """See `toolkit.depth_priors.coarse_to_fine.remove_fattening`."""
     kept = np.empty_like(inverse_depth)
     images = (intensity, inverse_depth, behind, kept)
     kernels.remove_fattening(inverse_depth.shape[::-1], [image.ctypes.data for image in images])

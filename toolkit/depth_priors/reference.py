@@ -181,7 +181,7 @@ def _between(count: int, half: int) -> tuple[NDArray[np.int64], NDArray[np.float
 
 
 def remove_fattening(intensity: Image, inverse_depth: Image, behind: Image) -> Image:
-    """See `toolkit.depth_priors.fattening.remove_fattening`."""
+    """See `toolkit.depth_priors.coarse_to_fine.remove_fattening`."""
     known = inverse_depth > 0
     border = known & (inverse_depth > np.float32(_EDGE) * behind)
     rows, columns = np.nonzero(border)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import resource
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
 from toolkit.evaluation.charts import Axes, Series, line_chart
-from toolkit.evaluation.memory import resident_memory_mb
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.stages import COLUMNS, Column, Stage
 
@@ -128,3 +130,41 @@ def _points(frames: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[n
         return np.empty((0, 2))
     largest = np.fmax.reduceat(values, starts)
     return np.stack([frames[starts].astype(np.float64), largest], axis=1)
+
+
+_STATUS = Path("/proc/self/status")
+_STATM = Path("/proc/self/statm")
+
+
+def peak_memory_mb() -> float:
+    """Return the peak resident memory of this process in MB (10^6 bytes).
+
+    On Linux, it is read from `VmHWM`: `getrusage` may report the memory of the parent process
+    from which this one was forked.
+    """
+    if _STATUS.exists():
+        for line in _STATUS.read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024 / 1e6
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    bytes_per_unit = 1 if sys.platform == "darwin" else 1024
+    return peak * bytes_per_unit / 1e6
+
+
+def resident_memory_mb() -> float | None:
+    """Return the present resident memory of this process in MB, None where it is unknown."""
+    try:
+        pages = int(_STATM.read_text().split()[1])
+    except OSError:
+        return None
+    return pages * resource.getpagesize() / 1e6
+
+
+_FLOAT_BYTES = 4
+# Centre, radius, opacity and colour.
+_GEOMETRY_FLOATS = 3 + 1 + 1 + 3
+
+
+def gaussian_bytes(feature_channels: int) -> int:
+    """Return the size of one Gaussian's float32 parameters, in bytes."""
+    return _FLOAT_BYTES * (_GEOMETRY_FLOATS + feature_channels)

@@ -163,3 +163,22 @@ def _halved(image: Array) -> Array:
     size = (width, height)
     even = image[: 2 * height, : 2 * width]
     return np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
+
+
+# Pulls gains towards 1, in mean squares of colours in [0, 1]: a dark channel determines no gain.
+_PRIOR = 1e-3
+# Largest residual of a pixel that the gains are fitted to; larger ones are errors of the map.
+_MAX_RESIDUAL = 0.15
+_ROUNDS = 3
+
+
+def balanced(rendered: NDArray[np.float32], observed: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The rendered colours [H, W, 3], with one gain per channel that fits the observed ones."""
+    gains = np.ones(3)
+    for _ in range(_ROUNDS):
+        good = (np.abs(gains * rendered - observed) < _MAX_RESIDUAL).all(axis=-1)
+        r, o = rendered[good].astype(np.float64), observed[good].astype(np.float64)
+        count = max(len(rendered.reshape(-1, 3)), 1)
+        prior = _PRIOR * count
+        gains = ((r * o).sum(axis=0) + prior) / ((r * r).sum(axis=0) + prior)
+    return (gains * rendered).clip(0.0, 1.0).astype(np.float32)

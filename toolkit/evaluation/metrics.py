@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.evaluation.depth import depth_l1
-from toolkit.evaluation.images import masked_psnr_db, mean_or_none, psnr_db, ssim_and_ms_ssim
+from toolkit.evaluation.images import (
+    balanced,
+    masked_psnr_db,
+    mean_or_none,
+    psnr_db,
+    ssim_and_ms_ssim,
+)
 from toolkit.evaluation.lpips import Lpips
 from toolkit.evaluation.trajectory import (
     MAX_TIME_DIFFERENCE_S,
@@ -27,7 +33,6 @@ from toolkit.evaluation.trajectory import (
     absolute_trajectory_error,
     relative_pose_error,
 )
-from toolkit.evaluation.white_balance import balanced
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
 from toolkit.stages import Column

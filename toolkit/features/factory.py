@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from toolkit.errors import SettingsError
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.colour_histogram import ColourHistogramEncoder
+from toolkit.features.builtin import BuiltinEncoder, ColourHistogramEncoder
 from toolkit.features.encoder import Encoder
 from toolkit.features.options import FeatureOptions
 from toolkit.features.sources import ViewDescriber

@@ -22,10 +22,10 @@ from toolkit.live.camera import LiveCamera
 from toolkit.live.feed import FeedOptions, LiveFeed
 from toolkit.live.frame_writer import FrameWriter
 from toolkit.live.options import LiveOptions
-from toolkit.live.record import LiveSummary
+from toolkit.live.summary import LiveSummary
 from toolkit.live.system import LiveSlam
+from toolkit.pacing.delays import count_of, delay_statistics
 from toolkit.pacing.paced import PacedSlam
-from toolkit.pacing.record import count_of, delay_statistics
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.evaluation import load_lpips

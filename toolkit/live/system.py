@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from toolkit.frame import Frame
 from toolkit.live.buffer import DroppedFrame
 from toolkit.live.feed import LiveFeed
-from toolkit.live.record import LiveSummary
+from toolkit.live.summary import LiveSummary
+from toolkit.pacing.delays import FrameDelay
 from toolkit.pacing.paced import PacedSlam, outcome_of
-from toolkit.pacing.record import FrameDelay
 from toolkit.slam.result import FrameResult
 from toolkit.slam.system import Slam
 from toolkit.submaps.atlas import Atlas

@@ -151,3 +151,32 @@ def ssim_torch(x: Tensor, y: Tensor) -> Tensor:
     luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
     structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
     return (luminance * structure).mean()
+
+
+_MIN_SILHOUETTE = 1e-6
+
+
+def weigh_depth(gradient: Tensor, images: Tensor, mask: Tensor, weight: float) -> None:
+    """Multiply the gradient of the depth loss by a weight in some pixels, in place.
+
+    Args:
+        gradient: [C, H, W] of the mapping loss by the rendered images.
+        images: [C, H, W] the rendered images.
+        mask: [H, W] bool, the pixels.
+        weight: factor of the depth loss there; other losses keep theirs.
+    """
+    removed = (1.0 - weight) * gradient[DEPTH_SUM] * mask
+    mean = images[DEPTH_SUM] / images[SILHOUETTE].clamp(min=_MIN_SILHOUETTE)
+    gradient[DEPTH_SUM] -= removed
+    # d(D / S) / dS = -(D / S) / S.
+    gradient[SILHOUETTE] += removed * mean
+
+
+def by_observed_depth(gradient: Tensor, images: Tensor) -> Tensor:
+    """Derivative [H, W] of the depth loss, summed over pixels, by the observed depth.
+
+    Args:
+        gradient: [C, H, W] of the mapping loss by the rendered images.
+        images: [C, H, W] the rendered images.
+    """
+    return -gradient[DEPTH_SUM] * images[SILHOUETTE]

@@ -25,15 +25,14 @@ from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
 from toolkit.mapping.depth_views import DepthView
 from toolkit.mapping.effort import Effort
+from toolkit.mapping.final_optimisation import refine
 from toolkit.mapping.free_space import Evidence, FreeSpace, hides_view, is_measured
 from toolkit.mapping.hole_filling import fill_holes
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
 from toolkit.mapping.moving_objects import hide_moving_objects
-from toolkit.mapping.observations import KeyframeImages
-from toolkit.mapping.optimisation import MapOptimisation, Objective
+from toolkit.mapping.optimisation import KeyframeImages, MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
-from toolkit.mapping.refinement import refine
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.stages import Stage
@@ -269,7 +268,7 @@ class Mapper:
         return self._optimisation.step(submap, keyframe, progress, objective)
 
     def refine(self, submap: Submap, T_map_cameras: NDArray[np.float64] | None = None) -> None:
-        """Refine a submap over all its keyframes, at the end of a run; see `refinement.py`.
+        """Refine a submap over all its keyframes, at the end of a run; see `final_optimisation.py`.
 
         Args:
             T_map_cameras: [P, 4, 4] poses of all frames, in front of which space is cleared; only

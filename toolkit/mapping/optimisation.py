@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,14 +11,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
+from toolkit.caching import LruCache
 from toolkit.frame import Recorder
 from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.losses.depth_gradient import weigh_depth
+from toolkit.keyframe import Keyframe, Observed
 from toolkit.losses.features import FeatureLoss
-from toolkit.losses.photometric import rgbd_loss
-from toolkit.mapping.depth_adjustment import adjust_depth
-from toolkit.mapping.observations import KeyframeImages
+from toolkit.losses.photometric import by_observed_depth, rgbd_loss, weigh_depth
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
@@ -28,6 +27,75 @@ from toolkit.rendering.output import COLOUR
 from toolkit.rendering.texture import resample_at_centres
 from toolkit.stages import Stage
 from toolkit.submaps.submap import Submap
+
+# Maximum number of keyframes in the cache: more than a mapping window, a few megabytes each.
+_MAX_KEYFRAMES = 32
+
+
+class KeyframeImages:
+    """LRU cache of keyframe images; on a CPU it returns the keyframes' own images."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self._cache: LruCache[Observed] = LruCache(_MAX_KEYFRAMES)
+
+    def of(self, keyframe: Keyframe) -> Observed:
+        """The images of a keyframe on the map's device."""
+        if self._device.type == "cpu":
+            return keyframe.images
+        # Labels may have been corrected, and keyframes of other submaps may have the same index.
+        sources = (keyframe.rgb, keyframe.depth_m, keyframe.class_ids)
+        return self._cache.get(keyframe.index, lambda: keyframe.images.to(self._device), sources)
+
+
+# Learning rate of the scale, and of the shift relative to the median depth.
+_RATE = 1e-3
+# Decay of Adam's moments, and its epsilon for gradients relative to the depth loss.
+_DECAY, _DECAY_SQUARED, _EPSILON = 0.9, 0.99, 1e-8
+
+
+def adjust_depth(
+    keyframe: Keyframe, gradient: Tensor, images: Tensor, regularisation: float
+) -> None:
+    """Take one step on the scale and the shift of a keyframe's depth.
+
+    The state of a keyframe is log scale, shift relative to the median depth, two first and two
+    second moments of their gradients, and the number of steps. The logarithm keeps the scale
+    positive.
+
+    Args:
+        keyframe: its `prior_m` is the depth after the initial correction.
+        gradient: [C, H, W] of the mapping loss by the rendered images, as a sum over pixels.
+        images: [C, H, W] the rendered images.
+        regularisation: weight of the deviation from the initial values.
+    """
+    prior_m = keyframe.prior_m
+    assert prior_m is not None
+    known = prior_m > 0
+    if not bool(known.any()):
+        return
+    state = np.zeros(7) if keyframe.depth_moments is None else keyframe.depth_moments
+    median_m = float(prior_m[known].median())
+    by_depth = by_observed_depth(gradient, images).to(prior_m)
+    log_scale, shift = state[0], state[1]
+    scale = math.exp(log_scale)
+    # Pixels without a compared depth have no gradient.
+    count = max(int((by_depth != 0).sum()), 1)
+    descent = np.array(
+        [float((by_depth * prior_m).sum()) * scale, float(by_depth.sum()) * median_m]
+    )
+    deviation = np.array([np.sign(scale - 1.0) * scale, np.sign(shift) * median_m])
+    descent = descent / count + regularisation * deviation
+    steps = state[6] + 1
+    first = _DECAY * state[2:4] + (1.0 - _DECAY) * descent
+    second = _DECAY_SQUARED * state[4:6] + (1.0 - _DECAY_SQUARED) * descent**2
+    unbiased = first / (1.0 - _DECAY**steps)
+    change = unbiased / (np.sqrt(second / (1.0 - _DECAY_SQUARED**steps)) + _EPSILON)
+    log_scale, shift = state[:2] - _RATE * change
+    keyframe.depth_moments = np.array([log_scale, shift, *first, *second, steps])
+    adjusted = math.exp(log_scale) * prior_m + shift * median_m
+    keyframe.depth_m = adjusted.clamp(min=0.0) * known
+
 
 # Learning rates of keyframe poses in bundle adjustment.
 _POSE_RATE_M, _POSE_RATE_RAD = 1e-4, 5e-5

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import math
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -15,7 +17,10 @@ from toolkit.losses.semantic import SemanticLoss
 from toolkit.native.constants import BASE_CHANNELS, SILHOUETTE
 from toolkit.rendering import RenderOutput, SurfaceView
 from toolkit.rendering.output import FEATURES
+from toolkit.semantics.codes import SemanticCode
+from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.decoding import Decoding, decode, decode_level
+from toolkit.semantics.options import SemanticsOptions
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -245,3 +250,30 @@ class SemanticMapping:
         self._observed = torch.from_numpy(np.array(arrays["observed"]))
         if self._loss.network is not None:
             self._loss.network.restore(arrays_below(arrays, "network/"))
+
+
+# Hidden units and learning rate of the network; the paper prints neither.
+_HIDDEN, _LEARNING_RATE = 64, 5e-3
+
+
+def build_semantic_mapping(
+    options: SemanticsOptions, code: SemanticCode | None, seed: int
+) -> SemanticMapping:
+    """Build the semantics of a map; without a code, the map has no semantics."""
+    if code is None:
+        return SemanticMapping()
+    network = None
+    if options.network.use:
+        network = NetworkDecoder(
+            code.channels,
+            len(code.taxonomy),
+            _HIDDEN,
+            _LEARNING_RATE,
+            torch.Generator().manual_seed(seed),
+            options.network.replay,
+        )
+    weights = options.loss
+    if not options.code.normalise:
+        # The network divides its loss by that of a uniform prediction.
+        weights = replace(weights, inter=weights.inter * math.log(len(code.taxonomy)))
+    return SemanticMapping(SemanticLoss(code, weights, network, seed), options.reader)

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from toolkit.frame import Frame
 from toolkit.mapping.deferred import StepCounts
 from toolkit.mapping.keyframes import KeyframeChoice
-from toolkit.pacing.clock import Clock, MonotonicClock
+from toolkit.pacing.clock import ArrivalSchedule, Clock, MonotonicClock
+from toolkit.pacing.delays import FrameDelay, Outcome, PaceRecord, PaceSummary
 from toolkit.pacing.options import PacingOptions
 from toolkit.pacing.policy import DurationEstimate, PacePolicy
-from toolkit.pacing.record import FrameDelay, Outcome, PaceRecord, PaceSummary
-from toolkit.pacing.schedule import ArrivalSchedule
 from toolkit.slam.result import FrameResult
 from toolkit.slam.system import Slam
 from toolkit.submaps.atlas import Atlas

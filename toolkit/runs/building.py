@@ -10,8 +10,8 @@ from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.loops.closing.factory import ClosingContext
-from toolkit.mapping.factory import build_semantic_mapping
 from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.rendering import map_device
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.modes import FrontEndParts, mode_of

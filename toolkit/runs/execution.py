@@ -16,8 +16,8 @@ from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.monocular.scale import check_scale
+from toolkit.pacing.delays import PaceSummary, count_of, delay_statistics
 from toolkit.pacing.paced import PacedSlam
-from toolkit.pacing.record import PaceSummary, count_of, delay_statistics
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction

@@ -21,16 +21,14 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.length_names import LengthNames
-from toolkit.mapping.factory import build_semantic_mapping
-from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.frame_records import read_part, read_state
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.submaps.saved import SavedSubmaps
-from toolkit.submaps.store import SubmapStore
+from toolkit.submaps.store import SavedSubmaps, SubmapStore
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,13 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io.splats import SplatLabels
-from toolkit.mapping.factory import build_semantic_mapping
-from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.refinement.fusion import fuse_submaps
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.map_files import splat_labels
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.submaps.saved import SavedSubmaps
+from toolkit.submaps.store import SavedSubmaps
 from toolkit.submaps.submap import Submap
 
 

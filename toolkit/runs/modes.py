@@ -23,8 +23,7 @@ from toolkit.evaluation.timing import StageRecorder
 from toolkit.evaluation.trajectory import AlignmentKind
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
-from toolkit.loops.closing.given_parts import GivenParts
-from toolkit.loops.closing.interface import LoopClosing, NoLoopClosing
+from toolkit.loops.closing.interface import GivenParts, LoopClosing, NoLoopClosing
 from toolkit.loops.log import LoopLog
 from toolkit.monocular.motion import CameraMotion
 from toolkit.monocular.options import ScaleOptions

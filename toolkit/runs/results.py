@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from toolkit import __version__
 from toolkit.datasets.base import Dataset
-from toolkit.evaluation.frame_costs import FrameCosts
+from toolkit.evaluation.frame_costs import FrameCosts, gaussian_bytes, peak_memory_mb
 from toolkit.evaluation.frame_states import (
     frame_metrics,
     frame_states,
@@ -21,7 +21,6 @@ from toolkit.evaluation.frame_states import (
     summary_lines,
 )
 from toolkit.evaluation.images import psnr_db
-from toolkit.evaluation.memory import peak_memory_mb
 from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_metrics
 from toolkit.evaluation.report import (
     DelaySeries,
@@ -31,7 +30,6 @@ from toolkit.evaluation.report import (
     write_report,
 )
 from toolkit.evaluation.run_metrics import TrackedFrame
-from toolkit.evaluation.storage import gaussian_bytes
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
 from toolkit.geometry import se3
@@ -42,7 +40,7 @@ from toolkit.io.length_names import LengthNames
 from toolkit.io.visualisation import view_strip
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.monocular.motion import CameraMotion
-from toolkit.pacing.record import DelaySummary
+from toolkit.pacing.delays import DelaySummary
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.runs.depth_prior_use import DepthPriorUse
 from toolkit.runs.evaluation import (
@@ -50,12 +48,16 @@ from toolkit.runs.evaluation import (
     evaluate_scene,
     semantic_evaluation,
 )
-from toolkit.runs.floor_plans import report_floor_plan
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.frame_records import frame_records
 from toolkit.runs.map_files import labelled_parts
 from toolkit.runs.modes import mode_of
-from toolkit.runs.report_pictures import level_images, loop_pictures, submap_graph
+from toolkit.runs.report_pictures import (
+    level_images,
+    loop_pictures,
+    report_floor_plan,
+    submap_graph,
+)
 from toolkit.runs.separate_parts import separate_part_metrics, write_separate_parts
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.palette import Palette

@@ -15,11 +15,10 @@ from toolkit.semantics.options import (
     SegmenterOptions,
 )
 from toolkit.semantics.palette import Palette
+from toolkit.semantics.segmenters.dataset_labels import RecordedLabels
 from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder
-from toolkit.semantics.segmenters.recorded import RecordedLabels
-from toolkit.semantics.segmenters.segmenter import Segmenter
-from toolkit.semantics.segmenters.unlabelled import Unlabelled
+from toolkit.semantics.segmenters.segmenter import Segmenter, Unlabelled
 from toolkit.semantics.taxonomy import Taxonomy
 
 _HEADED = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.alignment.constraint import weakest_rise
+from toolkit.alignment.covariance import weakest_rise
 from toolkit.alignment.data import LevelProblem
 from toolkit.alignment.joint import MAX_DISTANCE, Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import finest_level, model_level, pyramid

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.constraint import weakest_rise
+from toolkit.alignment.covariance import weakest_rise
 from toolkit.alignment.data import Alignment, LevelProblem
 from toolkit.alignment.health import HealthLimits, failure_reason
 from toolkit.alignment.similarity import Similarity, aligned_correlation

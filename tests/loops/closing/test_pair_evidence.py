@@ -12,9 +12,9 @@ import pytest
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.loops.closing import pair_matching
+from toolkit.loops.closing.log_entries import pair_values
 from toolkit.loops.closing.options import PairOptions
 from toolkit.loops.closing.pair_matching import PairMatcher, VerifiedPair
-from toolkit.loops.closing.records import pair_values
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.tracking.rolling_shutter import as_exposed
 

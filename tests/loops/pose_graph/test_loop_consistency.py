@@ -12,9 +12,8 @@ from walks import ODOMETRY, composed, walk
 
 from toolkit.geometry import se3
 from toolkit.loops.pose_graph import consistency
-from toolkit.loops.pose_graph.chi_square import quantile
 from toolkit.loops.pose_graph.clique import largest_clique
-from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
+from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops, quantile
 from toolkit.loops.pose_graph.graph import PoseEdge, information_of
 
 FEW = settings(deadline=None, max_examples=15)

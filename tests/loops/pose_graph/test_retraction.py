@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from walks import Walk, walk
 
 from toolkit.geometry import se3
-from toolkit.loops.pose_graph.chi_square import quantile
+from toolkit.loops.pose_graph.consistency import quantile
 from toolkit.loops.pose_graph.graph import PoseEdge, information_of
 from toolkit.loops.pose_graph.options import PoseGraphOptions
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser

@@ -10,9 +10,12 @@ from registered_room import Scene, error, motion, moved
 from toolkit.features.sources import ViewDescriber
 from toolkit.geometry import se3
 from toolkit.loops.registration import first_order_fine
-from toolkit.loops.registration.first_order_fine import FirstOrderFineRegistration, _Objective
+from toolkit.loops.registration.first_order_fine import (
+    FirstOrderFineRegistration,
+    ViewFeatures,
+    _Objective,
+)
 from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.loops.registration.view_features import ViewFeatures
 from toolkit.rendering import render
 
 

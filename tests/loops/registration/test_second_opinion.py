@@ -11,7 +11,7 @@ from toolkit.geometry import se3
 from toolkit.loops.registration.factory import build_registrar
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.result import failed
-from toolkit.loops.registration.second_opinion import SecondOpinion
+from toolkit.loops.registration.sgr import SecondOpinion
 from toolkit.loops.registration.views import ViewRenderer
 
 

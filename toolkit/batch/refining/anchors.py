@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from toolkit.batch.refining.tasks import Extent, PairResult
 from toolkit.geometry import se3
 from toolkit.loops.closing.options import ClosingOptions, LoopClosureOptions
-from toolkit.loops.pose_graph.chi_square import quantile
-from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
+from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops, quantile
 from toolkit.loops.pose_graph.correction import PoseCorrection, submap_graph
 from toolkit.loops.pose_graph.graph import PoseEdge, information_of
 from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise

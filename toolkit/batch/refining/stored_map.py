@@ -17,8 +17,7 @@ from toolkit.errors import FormatError, RunFolderError, SettingsError
 from toolkit.geometry import se3
 from toolkit.io import storage
 from toolkit.io.arrays import arrays_below
-from toolkit.mapping.factory import build_semantic_mapping
-from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy

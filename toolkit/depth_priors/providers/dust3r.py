@@ -22,8 +22,13 @@ from toolkit.depth_priors.provider import (
     PriorSet,
     ScaleScope,
 )
-from toolkit.depth_priors.providers.packages import image_of, import_package, resized, weights_of
-from toolkit.depth_priors.providers.weights import sha256_of
+from toolkit.depth_priors.providers.packages import (
+    image_of,
+    import_package,
+    resized,
+    sha256_of,
+    weights_of,
+)
 from toolkit.features.pretrained.loading import device_of
 from toolkit.frame import Frame
 

@@ -21,8 +21,7 @@ from toolkit.depth_priors.provider import (
     PriorSet,
     ScaleScope,
 )
-from toolkit.depth_priors.providers.packages import image_of, import_package, weights_of
-from toolkit.depth_priors.providers.weights import sha256_of
+from toolkit.depth_priors.providers.packages import image_of, import_package, sha256_of, weights_of
 from toolkit.features.pretrained.loading import device_of
 from toolkit.frame import Frame
 

@@ -21,7 +21,7 @@ from toolkit.depth_priors.provider import (
     PriorSet,
     ScaleScope,
 )
-from toolkit.depth_priors.providers.weights import sha256_of
+from toolkit.depth_priors.providers.packages import sha256_of
 from toolkit.errors import FormatError
 from toolkit.features.pretrained.loading import (
     check_folder,

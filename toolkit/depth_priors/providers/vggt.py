@@ -27,9 +27,9 @@ from toolkit.depth_priors.providers.packages import (
     import_package,
     relative_poses,
     resized,
+    sha256_of,
     weights_of,
 )
-from toolkit.depth_priors.providers.weights import sha256_of
 from toolkit.features.pretrained.loading import device_of
 from toolkit.frame import Frame
 

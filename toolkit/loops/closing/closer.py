@@ -22,9 +22,9 @@ from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.closing.keyframe_loops import KeyframeLoops
+from toolkit.loops.closing.log_entries import correction_values, motion_values, verdict
 from toolkit.loops.closing.options import ClosingOptions
 from toolkit.loops.closing.parts import ClosingParts
-from toolkit.loops.closing.records import correction_values, motion_values, verdict
 from toolkit.loops.closing.submap_loops import SubmapLoops
 from toolkit.loops.closing.uncertainty import PathPose, frame_covariances, measured_links
 from toolkit.loops.detection import LoopDetector

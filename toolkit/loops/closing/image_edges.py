@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from toolkit.alignment.matching import Offset
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
+from toolkit.loops.closing.log_entries import Record, pair_values, verdict
 from toolkit.loops.closing.parts import ClosingParts
-from toolkit.loops.closing.records import Record, pair_values, verdict
 from toolkit.loops.closing.uncertainty import NEGLIGIBLE_NOISE
 from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.loops.pose_graph.graph import PoseEdge, information_of

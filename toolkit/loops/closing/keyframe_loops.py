@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import LoopCandidate
+from toolkit.loops.closing.log_entries import Record, correction_values, pair_values, verdict
 from toolkit.loops.closing.options import ClosingOptions
 from toolkit.loops.closing.parts import ClosingParts
-from toolkit.loops.closing.records import Record, correction_values, pair_values, verdict
 from toolkit.loops.closing.uncertainty import NEGLIGIBLE_NOISE
-from toolkit.loops.pose_graph.chi_square import quantile
-from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
+from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops, quantile
 from toolkit.loops.pose_graph.correction import PoseCorrection, correct_keyframes, keyframe_graph
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.mapping.mapper import Mapper

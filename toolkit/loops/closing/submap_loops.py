@@ -14,12 +14,11 @@ from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.closing.image_edges import ImageEdges, ImageLoops
+from toolkit.loops.closing.log_entries import Record, motion_values, registration_values, verdict
 from toolkit.loops.closing.options import ClosingOptions
 from toolkit.loops.closing.parts import ClosingParts
-from toolkit.loops.closing.records import Record, motion_values, registration_values, verdict
 from toolkit.loops.closing.visibility import Visibility
-from toolkit.loops.pose_graph.chi_square import quantile
-from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
+from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops, quantile
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.loops.registration.result import Registrar, RegistrationResult, register_pair
 from toolkit.loops.verification import VerificationLimits, rejection_reason

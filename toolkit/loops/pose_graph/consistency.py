@@ -18,12 +18,28 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from toolkit.geometry import se3
-from toolkit.loops.pose_graph.chi_square import quantile
 from toolkit.loops.pose_graph.clique import largest_clique
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.loops.pose_graph.options import PoseGraphOptions
+
+
+def quantile(confidence: float, degrees: int) -> float:
+    """Return the chi-square quantile for `degrees` degrees of freedom.
+
+    Args:
+        confidence: probability in (0, 1]; the quantile of 1 is infinite.
+        degrees: degrees of freedom.
+
+    Raises:
+        ValueError: the confidence is out of range.
+    """
+    if not 0.0 < confidence <= 1.0:
+        raise ValueError(f"confidence must be above 0 and at most 1, got {confidence}")
+    return 2.0 * float(gammaincinv(0.5 * degrees, confidence))
+
 
 Array = NDArray[np.float64]
 

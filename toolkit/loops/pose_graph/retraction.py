@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from toolkit.loops.pose_graph.chi_square import quantile
+from toolkit.loops.pose_graph.consistency import quantile
 from toolkit.loops.pose_graph.graph import PoseGraph
 from toolkit.loops.pose_graph.options import Kernel, PoseGraphOptions
 from toolkit.loops.pose_graph.solver import PoseGraphSolution, solve

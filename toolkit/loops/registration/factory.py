@@ -8,8 +8,7 @@ from toolkit.loops.registration.fine import FineRegistration
 from toolkit.loops.registration.first_order_fine import FirstOrderFineRegistration
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.result import Registrar
-from toolkit.loops.registration.second_opinion import SecondOpinion
-from toolkit.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration
+from toolkit.loops.registration.sgr import CoarseOnly, SecondOpinion, SemanticGuidedRegistration
 from toolkit.loops.registration.two_way import TwoWayRegistration
 from toolkit.loops.registration.views import ViewRenderer
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from toolkit.pacing.record import (
+from toolkit.pacing.delays import (
     FrameDelay,
     Metrics,
     PaceSummary,
