@@ -122,7 +122,7 @@ def test_deferred_frames_are_mapped_one_by_one_or_at_the_end():
     turn = Turn(0.0, 10.0, 1.0)
     slam, waiting = turn.slam(), turn.slam()
     for system in (slam, waiting):
-        system.defer_work()
+        system.defer_work(OPTIONS.keyframes)
         fed(system, turn.frames)
         assert border_error(system, turn) > 0.3, "the border is black"
     assert slam.map_intermediate_frame()
@@ -135,7 +135,7 @@ def test_deferred_frames_are_mapped_one_by_one_or_at_the_end():
 def test_deferred_frames_of_an_ended_submap_are_not_mapped():
     turn = Turn(0.0, 10.0, 1.0)
     slam = turn.slam()
-    slam.defer_work()
+    slam.defer_work(OPTIONS.keyframes)
     fed(slam, turn.frames)
     start_next(slam.atlas, slam.mapper)
     before = len(slam.atlas.gaussians)

@@ -217,6 +217,10 @@ class RecordedDataset:
             truth = truth.transformed(se3.from_rotation_translation(np.eye(3), -self.origin_m))
         self.ground_truth = truth
 
+    def use_camera(self, camera: Camera) -> None:
+        """Take estimated intrinsics of the resized images, where a recording has none."""
+        self.camera = camera
+
     def __len__(self) -> int:
         return len(self._files)
 

@@ -73,7 +73,6 @@ class Mapper:
 
     Attributes:
         exposures: estimates those of keyframes.
-        keyframe_choice: decides which tracked frames become keyframes.
         deferred: steps that wait for `take_deferred_step`; None if they are taken at once.
     """
 
@@ -90,7 +89,7 @@ class Mapper:
         self.options = options or MapperOptions()
         self.semantics = semantics or SemanticMapping()
         self.device = torch.device(device)
-        self.keyframe_choice: KeyframeChoice = self.options.keyframes
+        self._keyframe_choice: KeyframeChoice = self.options.keyframes
         self.deferred: DeferredSteps | None = None
         self.exposures = KeyframeExposures(self.options.white_balance, gains)
         self._generator = generator or np.random.default_rng(0)
@@ -122,7 +121,7 @@ class Mapper:
         if not keyframes:
             return True
         last = keyframes[-1]
-        return self.keyframe_choice.wants(index - last.index, last.fraction_seen_by(T_map_camera))
+        return self._keyframe_choice.wants(index - last.index, last.fraction_seen_by(T_map_camera))
 
     def add_keyframe(self, submap: Submap, keyframe: Keyframe) -> MappingResult:
         """Extend and optimise a submap with a keyframe.
@@ -206,6 +205,15 @@ class Mapper:
             self.semantics.observe(torch.from_numpy(frame.labels[mask]))
         seeds = self._densification.seeds(frame, T_map_camera, mask)
         submap.append(seeds, keyframe)
+
+    def defer_steps(self, keyframes: KeyframeChoice) -> DeferredSteps:
+        """Defer the steps of keyframes until `take_deferred_step`.
+
+        Args:
+            keyframes: decides which tracked frames become keyframes from now on.
+        """
+        self._keyframe_choice, self.deferred = keyframes, DeferredSteps()
+        return self.deferred
 
     def skip_deferred_steps(self) -> None:
         """Skip the deferred steps: another submap becomes active, or this one was moved."""

@@ -51,16 +51,14 @@ class PacedSlam:
         self.slam = slam
         self.clock: Clock = clock or MonotonicClock()
         self._fps, self._schedule = fps, ArrivalSchedule(fps)
-        mapper = slam.mapper
-        interval = mapper.options.keyframes.interval
-        self._policy = PacePolicy(options.max_delay_s, self._schedule.period_s, interval)
+        choice = slam.mapper.options.keyframes
+        self._policy = PacePolicy(options.max_delay_s, self._schedule.period_s, choice.interval)
         self._record = PaceRecord()
-        self._deferred = slam.defer_work()
         self._tracking, self._step = DurationEstimate(), DurationEstimate()
         self._keyframes = _PostponedKeyframes(
-            mapper.keyframe_choice, self._policy, self.clock, self._record, self._step
+            choice, self._policy, self.clock, self._record, self._step
         )
-        mapper.keyframe_choice = self._keyframes
+        self._deferred = slam.defer_work(self._keyframes)
         self._processed_at_s = -float("inf")
         self._located = False
         self._keeps_next = False

@@ -45,7 +45,7 @@ def estimated_motion(
     )
     if not calibrated:
         _log.info("The focal length is %.0f pixels.", motion.camera.fx)
-        dataset.camera = motion.camera
+        dataset.use_camera(motion.camera)
     if motion.views:
         _log.info(
             "Found the motion of %d of %d frames, with %d keyframes.",

@@ -23,6 +23,7 @@ from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.mapping.boundary import start_next
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
+from toolkit.mapping.keyframes import KeyframeChoice
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.parts import T_part_world, by_size, separate
@@ -213,18 +214,20 @@ class Slam:
         )
         return self.unit.frame_result_in_metres(result)
 
-    def defer_work(self) -> DeferredSteps:
+    def defer_work(self, keyframes: KeyframeChoice) -> DeferredSteps:
         """Defer work that poses do not depend on.
 
         Most optimisation steps are taken by `take_deferred_step`, intermediate frames are mapped
         by `map_intermediate_frame`, and loops between submaps are closed by `finish`.
 
+        Args:
+            keyframes: decides which tracked frames become keyframes from now on.
+
         Returns:
             The deferred steps.
         """
-        self.mapper.deferred = DeferredSteps()
         self._closer.defer()
-        return self.mapper.deferred
+        return self.mapper.defer_steps(keyframes)
 
     @single_threaded_blas()
     def take_deferred_step(self) -> None:
