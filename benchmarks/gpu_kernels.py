@@ -29,15 +29,12 @@ _TYPES = {
     **dict.fromkeys(("checkpoints", "transmittance"), _FLOAT),
     **dict.fromkeys(("by_images", "sums", "feature_rows", "rows", "out"), _FLOAT),
     **dict.fromkeys(("by_means", "by_log_radii", "by_opacity_logits", "by_colours"), _FLOAT),
-    **dict.fromkeys(("texture", "surface", "intensity", "depth", "cameras", "parts"), _FLOAT),
+    **dict.fromkeys(("texture", "surface", "intensity", "depth", "scalars", "parts"), _FLOAT),
     **dict.fromkeys(("counts", "pair_gaussians", "tile_begins", "batches"), _INT),
     **dict.fromkeys(("gaussians", "begins", "ids", "pair_rows"), _LONG),
     **dict.fromkeys(("rectangles", "pair_tiles"), "*i16"),
-    **dict.fromkeys(("pose", "state", "last"), "*fp64"),
-    **dict.fromkeys(("gate", "last_gain", "last_bias", "photometric_weight", "prior"), "fp32"),
-    "root_weight": "fp32",
-    **dict.fromkeys(("small_m", "small_rad", "least_intensity", "most_intensity"), "fp32"),
-    **dict.fromkeys(("least_depth", "most_depth"), "fp32"),
+    **dict.fromkeys(("pose", "last"), "*fp64"),
+    **dict.fromkeys(("gate", "root_weight"), "fp32"),
     "region": "*u8",
 }
 

@@ -37,6 +37,6 @@ def test_every_kernel_compiles_for_a_gpu_that_is_not_there(run_python):
     assert result.returncode == 0, result.stderr
     rows = [line.split("|") for line in result.stdout.splitlines() if line.startswith("| 90")]
     used = {cells[3].strip(): [int(c) for c in cells[4:8]] for cells in rows}
-    assert len(used) == 8
+    assert len(used) == 7
     assert used["composite"][1] == used["differentiate"][1] == 0  # nothing spilled
     assert used["composite"][3] > 0 and used["differentiate"][3] > 0  # on tensor cores
