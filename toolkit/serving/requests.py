@@ -12,7 +12,6 @@ from toolkit.errors import SettingsError
 from toolkit.geometry import se3
 
 Picture = Literal["colour", "depth", "classes"]
-PICTURES: tuple[Picture, ...] = ("colour", "depth", "classes")
 
 # Farther cameras see nothing, and their coordinates have no precision as float32.
 _MAX_M = 1e5
