@@ -17,7 +17,6 @@ from toolkit.keyframe import Keyframe
 from toolkit.mapping.boundary import start_at, start_next
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import render
-from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam
@@ -94,17 +93,3 @@ def test_submaps_share_the_reference_of_the_first():
     start_at(atlas, slam.mapper, anchor, (0, T_submap_camera))
     np.testing.assert_allclose(slam.atlas.keyframes[0].exposure.balance, balance, rtol=0.01)
     assert atlas.keyframe_balances(0)[last.index] == balance
-
-
-def test_checkpoints_of_older_versions_are_neutral():
-    path = CameraPath()
-    exposure = {"gain": 1.2, "bias": 0.1}
-    tracked = {"index": 3, "timestamp_s": 0.1, "submap": 0, "keyframe": 0, "exposure": exposure}
-    values = {
-        "tracked": [tracked],
-        "lost_frames": [],
-        "unreliable_in_a_row": 0,
-        "dropped_frames": [],
-    }
-    path.restore({"T_keyframe_camera": np.eye(4)[None]}, values)
-    assert path.state()[1]["tracked"][0]["exposure"] == {**exposure, "balance": NEUTRAL}
