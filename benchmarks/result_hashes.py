@@ -4,10 +4,10 @@
     SEMSPLAT_DATA=DATA python -m benchmarks.result_hashes --ring RING --compare before.json
 
 RING is made by `semsplat make-room --out RING --layout ring --frames 450 --sensor-noise
---image-size 160 120`. Each of the sequences (RedKitchen, fr1_rpy, office0 with and
-without its depth, and the ring) runs in
-a process of its own with two threads, or with OMP_NUM_THREADS. Rounding differs between processors
-and instruction sets, so hashes are compared on one machine only.
+--image-size 160 120`. Each of the sequences (RedKitchen, fr1_rpy, office0 with and without its
+depth, and the ring) runs in a process of its own with two threads, or with OMP_NUM_THREADS.
+Rounding differs between processors and instruction sets, so hashes are compared on one machine
+only.
 
 Hashed are `trajectory.txt`, `map.ply`, `loops.jsonl` and the values of `metrics.json` other than
 times and memory, by dotted key. With `--compare`, metrics that only one side has are listed but do
@@ -61,6 +61,8 @@ def main() -> int:
         for name, arguments in _sequences(options.ring).items()
         if not options.only or name in options.only
     }
+    if not rows:
+        raise SystemExit("no sequence to run: set SEMSPLAT_DATA, or name a ring with --ring")
     if options.write is not None:
         options.write.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     before = json.loads(options.compare.read_text()) if options.compare else {}
