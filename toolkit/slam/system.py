@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.exposure import IDENTITY, NEUTRAL
 from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
-from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
@@ -26,9 +25,10 @@ from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
 from toolkit.mapping.keyframes import KeyframeChoice
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.fusion import FusedMap, fuse
-from toolkit.refinement.parts import T_part_world, by_size, separate
+from toolkit.refinement.parts import separate
 from toolkit.refinement.within import refine_submaps
 from toolkit.slam.camera_path import CameraPath
+from toolkit.slam.collection import collected, parts_of, poses_beside
 from toolkit.slam.frame_preparation import FramePreparation, FrameSources
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.length_unit import METRE, LengthUnit
@@ -36,9 +36,6 @@ from toolkit.slam.recovery import Located, Recovery
 from toolkit.slam.result import (
     FrameResult,
     SlamResult,
-    SubmapSummary,
-    TrackedFrames,
-    separate_parts,
 )
 from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
@@ -103,10 +100,7 @@ class Slam:
     @property
     def parts(self) -> list[tuple[int, ...]]:
         """Parts of the map so far: numbers of submaps with known relative poses, as in results."""
-        path = self._path
-        doubtful = path.doubtful_frames
-        reliable = [index not in doubtful for index in path.indices]
-        return by_size(self._closer.parts(self.atlas), path.submaps, reliable, self.atlas.saved)
+        return parts_of(self.atlas, self._path, self._closer)
 
     @property
     def camera_path(self) -> CameraPath:
@@ -265,69 +259,19 @@ class Slam:
                 self._closer.finish(self.atlas, self.mapper)
                 parts = self.parts
                 separate(self.atlas, parts)
-                refine_submaps(self.atlas, self.mapper, self._poses_beside)
+                poses = partial(poses_beside, self.atlas, self._path, parts)
+                refine_submaps(self.atlas, self.mapper, poses)
                 free_space = self.mapper.options.free_space
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
         return self.result()
 
-    def _poses_beside(self, number: int) -> NDArray[np.float64]:
-        """Poses [P, 4, 4] of the frames in the same part of the map as a submap."""
-        part, path = next(part for part in self.parts if number in part), self._path
-        inside = np.isin(path.submaps, part)
-        inside &= ~np.isin(path.indices, list(path.doubtful_frames))
-        return self._path.trajectory(self.atlas).T_world_camera[inside]
-
     def result(self) -> SlamResult:
         """The current state of the run."""
-        atlas, path, parts = self.atlas, self._path, self.parts
         labeller = self._preparation.labeller
-        maps, covariances, exposures = self._fused, None, {}
-        if maps:
-            exposures = {n: e for one in maps if one is not None for n, e in one.exposures.items()}
-            covariances = self._closer.covariances(atlas, path.measured_poses(atlas))
-        T_part = {number: T_part_world(atlas, part) for part in parts for number in part}
-        submaps = [
-            SubmapSummary(
-                number,
-                T_part[number] @ atlas.T_world_submap(number),
-                list(atlas.keyframe_poses(number)),
-                readable=number not in atlas.unreadable,
-                exposure=exposures.get(number, IDENTITY),
-            )
-            for number in range(len(atlas))
-        ]
-        own = submaps[atlas.saved :]
-        frames = TrackedFrames(
-            path.trajectory(atlas),
-            path.indices,
-            path.submaps,
-            path.exposures(atlas, exposures),
-            covariances,
-        )
-        doubtful = path.doubtful_frames
-        by_part = [frames.of(part, T_part[part[0]], doubtful) for part in parts]
-        main, fused = by_part[0], maps[0] if maps else None
-        result = SlamResult(
-            trajectory=main.trajectory,
-            frame_indices=main.indices,
-            exposures=main.exposures,
-            lost_frames=dict(path.lost_frames),
-            keyframe_indices=sorted({i for submap in own for i in submap.keyframe_indices}),
-            submaps=submaps,
-            allocation=list(atlas.verdicts),
-            loops=list(self._closer.loops),
-            map=InMemoryScene(atlas.gaussians.to("cpu")) if fused is None else fused,
-            semantics=self.mapper.semantics,
-            taxonomy=None if labeller is None else labeller.taxonomy,
-            covariances=main.covariances,
-            dropped_frames=list(path.dropped_frames),
-            doubtful_frames=doubtful,
-            keyframe_steps=path.steps,
-            frame_submaps=main.submaps,
-            parts=parts,
-            other_parts=separate_parts(parts, by_part, maps, path),
-        )
-        return self.unit.result_in_metres(result)
+        taxonomy = None if labeller is None else labeller.taxonomy
+        semantics, maps = self.mapper.semantics, self._fused
+        found = collected(self.atlas, self._path, self._closer, maps, semantics, taxonomy)
+        return self.unit.result_in_metres(found)
 
     def store_in_metres(self) -> None:
         """Convert the stored submaps of a finished run; nothing may be processed afterwards."""
