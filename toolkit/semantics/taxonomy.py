@@ -264,7 +264,7 @@ class Taxonomy:
         if Path(path).suffix == ".json":
             text = json.dumps(values, indent=1, ensure_ascii=False) + "\n"
         else:
-            from toolkit.semantics.taxonomy_parsing import yaml_of
+            from toolkit.semantics.taxonomy_files import yaml_of
 
             text = yaml_of(values)
         with replacing(path) as temporary:
@@ -309,7 +309,7 @@ class Taxonomy:
         Raises:
             FormatError: the file is missing, or does not contain a valid tree.
         """
-        from toolkit.semantics.taxonomy_parsing import read_values
+        from toolkit.semantics.taxonomy_files import read_values
 
         return cls.from_json(read_values(Path(path)), str(path))
 
