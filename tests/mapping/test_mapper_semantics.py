@@ -10,15 +10,18 @@ import torch
 from mapped_room import fed, same_bits
 from mapped_submap import MappedSubmap
 
+from toolkit.errors import SettingsError
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.losses.semantic import SemanticLoss
 from toolkit.mapping.options import MapperOptions
-from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.rendering import RenderOptions, backend, render_surface
+from toolkit.runs.execution import check_settings
+from toolkit.runs.settings import RunSettings
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
-from toolkit.semantics.options import SemanticLossWeights
+from toolkit.semantics.options import NetworkOptions, SemanticLossWeights, SemanticsOptions
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
@@ -179,3 +182,14 @@ def test_a_map_without_semantics_keeps_no_labels(room):
     mapper = fed(MappedSubmap(FEW), room, [0])
     assert mapper.keyframes[0].class_ids is None
     assert mapper.gaussians.features.shape[1] == 0
+
+
+def test_a_network_that_is_not_trained_cannot_decode():
+    """The path through the tree would decode instead, and nobody would know."""
+    options = SemanticsOptions(reader="network")
+    with pytest.raises(SettingsError, match="--semantics.network.use"):
+        build_semantic_mapping(options, None, 0)
+    with pytest.raises(SettingsError, match="not trained"):
+        check_settings(RunSettings(semantics=options))
+    trained = replace(options, network=NetworkOptions(use=True))
+    check_settings(RunSettings(semantics=trained))

@@ -18,7 +18,7 @@ from toolkit.native.constants import BASE_CHANNELS, SILHOUETTE
 from toolkit.rendering import RenderOutput, SurfaceView
 from toolkit.rendering.output import FEATURES
 from toolkit.semantics.codes import SemanticCode
-from toolkit.semantics.decoder import NetworkDecoder
+from toolkit.semantics.decoder import NetworkDecoder, check_reader
 from toolkit.semantics.decoding import Decoding, decode, decode_level
 from toolkit.semantics.options import SemanticsOptions
 from toolkit.semantics.palette import Palette
@@ -34,13 +34,18 @@ class SemanticMapping:
     Args:
         loss: loss of the semantic code; None for a map without semantics (S = 0).
         reader: decode classes along the paths of the tree, or with the trained network.
+
+    Raises:
+        ValueError: the loss has no network to decode with.
     """
 
     def __init__(
         self, loss: SemanticLoss | None = None, reader: Literal["path", "network"] = "path"
     ) -> None:
         self._loss = loss
-        self._by_network = reader == "network" and loss is not None and loss.network is not None
+        self._by_network = reader == "network" and loss is not None
+        if loss is not None and self._by_network and loss.network is None:
+            raise ValueError("reader 'network' needs a loss with a network")
         self.channels = 0 if loss is None else loss.code.channels
         self.unit = 1.0 if loss is None else loss.code.unit
         classes = 0 if loss is None else len(loss.code.taxonomy)
@@ -259,7 +264,12 @@ _HIDDEN, _LEARNING_RATE = 64, 5e-3
 def build_semantic_mapping(
     options: SemanticsOptions, code: SemanticCode | None, seed: int
 ) -> SemanticMapping:
-    """Build the semantics of a map; without a code, the map has no semantics."""
+    """Build the semantics of a map; without a code, the map has no semantics.
+
+    Raises:
+        SettingsError: codes are to be decoded by a network that is not trained.
+    """
+    check_reader(options)
     if code is None:
         return SemanticMapping()
     network = None

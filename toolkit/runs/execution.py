@@ -39,6 +39,7 @@ from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.runs.snapshots import SnapshotWriter
+from toolkit.semantics.decoder import check_reader
 from toolkit.slam.system import Slam
 from toolkit.synthetic_rooms import RoomSettings, make_room
 
@@ -178,6 +179,7 @@ def check_settings(settings: RunSettings) -> None:
         SettingsError: with the option to remove.
     """
     check_scale(settings.scale)
+    check_reader(settings.semantics)
     mode_of(settings).check(settings)
 
 

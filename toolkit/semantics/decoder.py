@@ -11,7 +11,22 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.errors import SettingsError
 from toolkit.io.arrays import arrays_below
+from toolkit.semantics.options import SemanticsOptions
+
+
+def check_reader(options: SemanticsOptions) -> None:
+    """Check that the network that decodes codes is trained.
+
+    Raises:
+        SettingsError: with the option to change.
+    """
+    if options.reader == "network" and not options.network.use:
+        raise SettingsError(
+            "--semantics.reader network decodes with a network that is not trained; add "
+            "--semantics.network.use, or remove it"
+        )
 
 
 class ReplayMemory:
