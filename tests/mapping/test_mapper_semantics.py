@@ -187,7 +187,7 @@ def test_a_map_without_semantics_keeps_no_labels(room):
 def test_a_network_that_is_not_trained_cannot_decode():
     """The path through the tree would decode instead, and nobody would know."""
     options = SemanticsOptions(reader="network")
-    with pytest.raises(SettingsError, match="--semantics.network.use"):
+    with pytest.raises(SettingsError, match=r"--semantics\.network\.use"):
         build_semantic_mapping(options, None, 0)
     with pytest.raises(SettingsError, match="not trained"):
         check_settings(RunSettings(semantics=options))
