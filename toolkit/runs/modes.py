@@ -106,11 +106,13 @@ class RunMode(ABC):
         alignment: how the trajectory is aligned with the ground truth.
         needs_depth: whether frames must have depth.
         locates: whether the camera is located in the map, so that it can be relocalised.
+        given_poses: whether the dataset gives the poses.
     """
 
     alignment: ClassVar[AlignmentKind]
     needs_depth: ClassVar[bool]
     locates: ClassVar[bool] = False
+    given_poses: ClassVar[bool] = False
 
     @abstractmethod
     def check(self, settings: RunSettings) -> None:
@@ -142,6 +144,8 @@ class RunMode(ABC):
 
     def origin_m(self, dataset: Dataset) -> NDArray[np.float64] | None:
         """The point [3] that was subtracted from given poses; None without given poses."""
+        if self.given_poses and isinstance(dataset, RecordedDataset):
+            return dataset.origin_m
         return None
 
 
@@ -201,6 +205,7 @@ class DepthAtGivenPoses(DepthCamera):
 
     alignment = "none"
     locates = False
+    given_poses = True
 
     def findings(self, dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
         """Those of the quick checks."""
@@ -213,10 +218,6 @@ class DepthAtGivenPoses(DepthCamera):
                 f"--dataset.pose-convention correct (trust uses them as they are)"
             )
         return (*findings, verdict)
-
-    def origin_m(self, dataset: Dataset) -> NDArray[np.float64] | None:
-        """Subtracted, because coordinates may be too large for single precision."""
-        return dataset.origin_m if isinstance(dataset, RecordedDataset) else None
 
     def front_end(self, parts: FrontEndParts) -> FrontEnd:
         """Looks the poses up."""
@@ -266,13 +267,10 @@ class ImagesAtGivenPoses(ImagesAlone):
     """Depth is found from the images at the poses of the dataset."""
 
     alignment = "none"
+    given_poses = True
 
     def _motion(self, run: RunContext) -> CameraMotion:
         return motion_at_given_poses(run.dataset, run.settings, run.progress)
-
-    def origin_m(self, dataset: Dataset) -> NDArray[np.float64] | None:
-        """Subtracted, because coordinates may be too large for single precision."""
-        return dataset.origin_m if isinstance(dataset, RecordedDataset) else None
 
     def front_end(self, parts: FrontEndParts) -> FrontEnd:
         """Looks the poses up."""
