@@ -100,6 +100,10 @@ class TestAllocation:
         near, far = turned(keyframes[0], 40), turned(keyframes[0], 60)
         assert not self.judge([keyframes[0], near], rule="motion").starts_submap
         assert "60 degrees" in self.judge([keyframes[0], far], rule="motion").reason
+        for metres, starts in ((0.4, False), (0.6, True)):
+            T = keyframes[0].T_map_camera @ se3.exp(np.array([metres, 0, 0, 0, 0, 0]))
+            moved = replace(keyframes[0], T_map_camera=T)
+            assert self.judge([keyframes[0], moved], rule="motion").starts_submap == starts
         # Whatever it sees, and however small the submap is.
         assert not self.judge([far, far, far], rule="motion").starts_submap
 
@@ -146,6 +150,23 @@ class TestAllocation:
         verdict = self.judge(keyframes[:2], gaussians=gaussians, **options)
         assert verdict.starts_submap and word in verdict.reason
 
+    def test_limits_are_reached_where_they_are_met(self, keyframes):
+        pair = keyframes[:2]
+        length_m = path_length_m(pair)
+        assert "path" in self.judge(pair, max_path_m=length_m).reason
+        view = [keyframes[0], turned(keyframes[0], 40)]
+        overlap = self.judge(view, min_overlap=1.0).overlap
+        assert 0.2 < overlap < 1.0
+        assert not self.judge(view, min_overlap=overlap).starts_submap
+
+    def test_recent_keyframes_do_not_count_as_the_volume(self, keyframes):
+        """The last one always shows what the newest one shows; only the anchor always counts."""
+        away = turned(keyframes[0], 180)
+        views = [keyframes[0], away, away]
+        assert self.judge(views, recent=1).overlap > 0.9
+        assert self.judge(views, recent=2).overlap < 0.2
+        assert self.judge(views, recent=9).overlap < 0.2
+
     def test_verdicts_survive_json(self, keyframes):
         verdict = self.judge([keyframes[0], turned(keyframes[0], 180)])
         again = type(verdict).from_values(verdict.values())
@@ -181,6 +202,30 @@ def same(a, b):
     return values == other_values and all(
         np.array_equal(arrays[k], others[k]) for k in arrays | others
     )
+
+
+class TestSubmap:
+    def test_another_number_and_offset_keep_the_content(self, keyframes):
+        submap = replace(some_submap(1), keyframes=keyframes[2:4])
+        other = submap.renumbered(4, -100)
+        assert other.number == 4 and [k.index for k in other.keyframes] == [-98, -97]
+        assert torch.equal(other.seeded_by, submap.seeded_by - 100)
+        assert [k.index for k in submap.keyframes] == [2, 3]
+
+    def test_it_goes_to_a_device_once(self):
+        submap = some_submap(0)
+        assert submap.to("cpu") is submap
+        there = submap.to("meta")
+        assert there.device.type == there.seeded_by.device.type == "meta"
+        assert there.optimiser.steps.device.type == "meta" and submap.device.type == "cpu"
+
+    def test_without_a_current_submap_there_is_none_to_work_on(self):
+        atlas = Atlas(some_submap(0))
+        assert atlas.current.number == 0 and len(atlas.gaussians) == 50
+        atlas.store_active()
+        assert not atlas.has_active_submap and not len(atlas.gaussians) and atlas.keyframes == []
+        with pytest.raises(RuntimeError, match="no submap is active"):
+            _ = atlas.current
 
 
 class TestStore:

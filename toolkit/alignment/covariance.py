@@ -36,6 +36,8 @@ _PARAMETERS = 6
 # Information of a prior on the motions that either term would choose alone, relative to that of
 # both: a term may not determine every direction.
 _MIN_SHARE = 1e-6
+# Displacement in the weakest direction: 5 cm or 2 degrees.
+_UNITS = np.array([0.05, 0.05, 0.05, 0.035, 0.035, 0.035])
 
 
 def clustered_information(
@@ -143,10 +145,6 @@ def _blocks(level: FrameLevel) -> Iterator[FrameLevel]:
                 level.intensity[top:bottom, left:right].contiguous(),
                 level.depth_m[top:bottom, left:right].contiguous(),
             )
-
-
-# Displacement in the weakest direction: 5 cm or 2 degrees.
-_UNITS = np.array([0.05, 0.05, 0.05, 0.035, 0.035, 0.035])
 
 
 def weakest_rise(problem: LevelProblem) -> float:

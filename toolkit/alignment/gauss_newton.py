@@ -30,6 +30,7 @@ from toolkit.native.constants import EXPOSURE_PRIOR, SOLVER_DAMPING
 
 # Indices of gain and bias; model intensity = gain * frame intensity + bias.
 GAIN, BIAS = 6, 7
+Estimate = TypeVar("Estimate", bound="IterativeEstimate")
 
 
 def add_exposure_prior(
@@ -67,9 +68,6 @@ def damped_step(H: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.fl
     except np.linalg.LinAlgError:
         return None
     return step if np.isfinite(step).all() else None
-
-
-Estimate = TypeVar("Estimate", bound="IterativeEstimate")
 
 
 class IterativeEstimate(Protocol):

@@ -1,4 +1,4 @@
-"""Start or join a Ray cluster, and execute functions on it; the only import of ray."""
+"""Start or join a Ray cluster, and execute functions and plans on it; the only import of ray."""
 
 from __future__ import annotations
 

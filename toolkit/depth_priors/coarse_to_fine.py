@@ -26,6 +26,10 @@ _MAX_STEP = 2.0
 # Steps between planes of the band are smaller than between those of the half image.
 _COARSE = SweepOptions(step_penalty=0.04, jump_penalty=0.4)
 _FINE = SweepOptions(step_penalty=0.02, jump_penalty=0.4)
+# Width of the wrong borders: half a window of the image of half the size.
+_WIDTH = 6
+# Ratio of the inverse depths of neighbouring pixels on different surfaces.
+_EDGE = 1.05
 
 
 @dataclass(frozen=True)
@@ -127,12 +131,6 @@ def _half_depth(
     known = (found.plane >= 0) & (found.plane < count - 1)
     inverse_depth = np.float32(far) + found.plane * np.float32(step)
     return step, np.where(known, inverse_depth, np.float32(0.0))
-
-
-# Width of the wrong borders: half a window of the image of half the size.
-_WIDTH = 6
-# Ratio of the inverse depths of neighbouring pixels on different surfaces.
-_EDGE = 1.05
 
 
 def remove_fattening(intensity: Image, inverse_depth: Image) -> Image:

@@ -1,4 +1,4 @@
-"""Time and memory of a run, frame by frame, and their charts."""
+"""Time and memory of a run, frame by frame, their charts, and the size of a map."""
 
 from __future__ import annotations
 
@@ -23,6 +23,11 @@ _MAX_POINTS = 600
 # The first map and loop closures take many times the time of other frames; the range of the chart
 # follows this percentile, and frames above it are marked.
 _RANGE_PERCENTILE, _RANGE_FACTOR = 98.0, 1.3
+_STATUS = Path("/proc/self/status")
+_STATM = Path("/proc/self/statm")
+_FLOAT_BYTES = 4
+# Centre, radius, opacity and colour.
+_GEOMETRY_FLOATS = 3 + 1 + 1 + 3
 
 
 @dataclass(frozen=True)
@@ -132,10 +137,6 @@ def _points(frames: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[n
     return np.stack([frames[starts].astype(np.float64), largest], axis=1)
 
 
-_STATUS = Path("/proc/self/status")
-_STATM = Path("/proc/self/statm")
-
-
 def peak_memory_mb() -> float:
     """Return the peak resident memory of this process in MB (10^6 bytes).
 
@@ -158,11 +159,6 @@ def resident_memory_mb() -> float | None:
     except OSError:
         return None
     return pages * resource.getpagesize() / 1e6
-
-
-_FLOAT_BYTES = 4
-# Centre, radius, opacity and colour.
-_GEOMETRY_FLOATS = 3 + 1 + 1 + 3
 
 
 def gaussian_bytes(feature_channels: int) -> int:

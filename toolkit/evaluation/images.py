@@ -27,6 +27,11 @@ MAX_PSNR_DB = 100.0
 
 _MARGIN = WINDOW_SIZE // 2
 _C1, _C2 = 0.01**2, 0.03**2
+# Pulls gains towards 1, in mean squares of colours in [0, 1]: a dark channel determines no gain.
+_PRIOR = 1e-3
+# Largest residual of a pixel that the gains are fitted to; larger ones are errors of the map.
+_MAX_RESIDUAL = 0.15
+_ROUNDS = 3
 
 
 def psnr_db(rendered: Image, truth: Image) -> float:
@@ -163,13 +168,6 @@ def _halved(image: Array) -> Array:
     size = (width, height)
     even = image[: 2 * height, : 2 * width]
     return np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
-
-
-# Pulls gains towards 1, in mean squares of colours in [0, 1]: a dark channel determines no gain.
-_PRIOR = 1e-3
-# Largest residual of a pixel that the gains are fitted to; larger ones are errors of the map.
-_MAX_RESIDUAL = 0.15
-_ROUNDS = 3
 
 
 def balanced(rendered: NDArray[np.float32], observed: NDArray[np.float32]) -> NDArray[np.float32]:

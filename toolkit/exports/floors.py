@@ -1,4 +1,4 @@
-"""Occupancy grids of the floor for robots."""
+"""Occupancy grids of the floor for robots, and floor plans as pictures."""
 
 from __future__ import annotations
 

@@ -32,6 +32,10 @@ _DARKEST, _LIGHTEST = -1.75, 1.75  # centres of the outer levels, in standard de
 # Squared gradients and colours below these (in standard deviations squared) are noise.
 _FLAT, _GREY = 1e-6, 1e-4
 _MIN_VARIANCE = 1e-6  # avoids division by zero for uniform images
+_CELL_ROWS, _CELL_COLUMNS = 60, 80  # size of the downscaled image
+_BINS = (8, 8, 6)  # number of bins of red, green and blue; 384 in total
+# Added to all bins, so that gradients of the square root are finite at empty bins.
+_MIN_FRACTION = 1e-4
 
 
 class BuiltinEncoder:
@@ -138,12 +142,6 @@ def _gaussian_windows(pixels: int, count: int) -> np.ndarray:
     offsets = (np.arange(pixels)[:, None] + 0.5 - middles) / (_WINDOW_WIDTH * spacing)
     windows = np.exp(-0.5 * offsets**2)
     return np.asarray(windows / windows.sum(axis=0))
-
-
-_CELL_ROWS, _CELL_COLUMNS = 60, 80  # size of the downscaled image
-_BINS = (8, 8, 6)  # number of bins of red, green and blue; 384 in total
-# Added to all bins, so that gradients of the square root are finite at empty bins.
-_MIN_FRACTION = 1e-4
 
 
 class ColourHistogramEncoder:

@@ -26,6 +26,18 @@ NEAR_M, _NEAR = 0.1, 0.1
 DEFAULT_FAR_M = 4.0
 # The farthest few percent of a depth image are noise or surfaces behind windows.
 _FAR_PERCENT = 95.0
+# Planes of the solid that stands for a frustum.
+_SOLID_NEAR_M, _SOLID_FAR_M = 0.05, 100.0
+# A ray that meets an edge of the mesh can count two triangles; the majority of three rays decides.
+_RAYS_PER_POINT = 3
+# Corners of a frustum: four of the near plane, then four of the far plane, both clockwise.
+_TRIANGLES = np.array(
+    [
+        *[(0, 1, 2), (0, 2, 3), (4, 6, 5), (4, 7, 6)],
+        *[(0, 4, 5), (0, 5, 1), (1, 5, 6), (1, 6, 2), (2, 6, 7), (2, 7, 3), (3, 7, 4), (3, 4, 0)],
+    ],
+    np.uint32,
+)
 
 
 def near_plane_m(far_m: float | Array) -> Array:
@@ -120,19 +132,6 @@ def far_depth_m(depth_m: NDArray) -> float:
     return float(np.percentile(measured, _FAR_PERCENT)) if len(measured) else DEFAULT_FAR_M
 
 
-_NEAR_M, _FAR_M = 0.05, 100.0
-# A ray that meets an edge of the mesh can count two triangles; the majority of three rays decides.
-_RAYS_PER_POINT = 3
-# Corners of a frustum: four of the near plane, then four of the far plane, both clockwise.
-_TRIANGLES = np.array(
-    [
-        *[(0, 1, 2), (0, 2, 3), (4, 6, 5), (4, 7, 6)],
-        *[(0, 4, 5), (0, 5, 1), (1, 5, 6), (1, 6, 2), (2, 6, 7), (2, 7, 3), (3, 7, 4), (3, 4, 0)],
-    ],
-    np.uint32,
-)
-
-
 def inside_frustum(camera: Camera, points_camera_m: NDArray) -> NDArray[np.bool_]:
     """Mask [P] of the points [P, 3] in camera coordinates that project into the image.
 
@@ -155,7 +154,7 @@ def _frustum(camera: Camera) -> Any:
     corners = [(0, 0), (camera.width - 1, 0), (camera.width - 1, camera.height - 1)]
     u, v = np.array([*corners, (0, camera.height - 1)], float).T
     ray = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(4)], axis=1)
-    vertices = np.concatenate([_NEAR_M * ray, _FAR_M * ray]).astype(np.float32)
+    vertices = np.concatenate([_SOLID_NEAR_M * ray, _SOLID_FAR_M * ray]).astype(np.float32)
     tensor = open3d().core.Tensor.from_numpy
     scene = open3d().t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(tensor(vertices), tensor(_TRIANGLES))

@@ -22,6 +22,8 @@ from toolkit.native.constants import (
 from toolkit.rendering.output import COLOUR
 from toolkit.rendering.surface import SurfaceView
 
+_MIN_SILHOUETTE = 1e-6
+
 
 def rgbd_loss(
     view: SurfaceView,
@@ -151,9 +153,6 @@ def ssim_torch(x: Tensor, y: Tensor) -> Tensor:
     luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
     structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
     return (luminance * structure).mean()
-
-
-_MIN_SILHOUETTE = 1e-6
 
 
 def weigh_depth(gradient: Tensor, images: Tensor, mask: Tensor, weight: float) -> None:

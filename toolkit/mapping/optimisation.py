@@ -30,6 +30,13 @@ from toolkit.submaps.submap import Submap
 
 # Maximum number of keyframes in the cache: more than a mapping window, a few megabytes each.
 _MAX_KEYFRAMES = 32
+# Learning rate of the scale, and of the shift relative to the median depth.
+_RATE = 1e-3
+# Decay of Adam's moments, and its epsilon for gradients relative to the depth loss.
+_DECAY, _DECAY_SQUARED, _EPSILON = 0.9, 0.99, 1e-8
+# Learning rates of keyframe poses in bundle adjustment.
+_POSE_RATE_M, _POSE_RATE_RAD = 1e-4, 5e-5
+_GEOMETRY_AND_COLOUR = ("means", "log_radii", "opacity_logits", "colours")
 
 
 class KeyframeImages:
@@ -46,12 +53,6 @@ class KeyframeImages:
         # Labels may have been corrected, and keyframes of other submaps may have the same index.
         sources = (keyframe.rgb, keyframe.depth_m, keyframe.class_ids)
         return self._cache.get(keyframe.index, lambda: keyframe.images.to(self._device), sources)
-
-
-# Learning rate of the scale, and of the shift relative to the median depth.
-_RATE = 1e-3
-# Decay of Adam's moments, and its epsilon for gradients relative to the depth loss.
-_DECAY, _DECAY_SQUARED, _EPSILON = 0.9, 0.99, 1e-8
 
 
 def adjust_depth(
@@ -95,11 +96,6 @@ def adjust_depth(
     keyframe.depth_moments = np.array([log_scale, shift, *first, *second, steps])
     adjusted = math.exp(log_scale) * prior_m + shift * median_m
     keyframe.depth_m = adjusted.clamp(min=0.0) * known
-
-
-# Learning rates of keyframe poses in bundle adjustment.
-_POSE_RATE_M, _POSE_RATE_RAD = 1e-4, 5e-5
-_GEOMETRY_AND_COLOUR = ("means", "log_radii", "opacity_logits", "colours")
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,8 @@ from toolkit.semantics.taxonomy import Taxonomy
 
 # Pixels with a smaller silhouette are decoded as void.
 _MIN_SILHOUETTE = 0.5
+# Hidden units and learning rate of the network; the paper prints neither.
+_HIDDEN, _LEARNING_RATE = 64, 5e-3
 
 
 class SemanticMapping:
@@ -255,10 +257,6 @@ class SemanticMapping:
         self._observed = torch.from_numpy(np.array(arrays["observed"]))
         if self._loss.network is not None:
             self._loss.network.restore(arrays_below(arrays, "network/"))
-
-
-# Hidden units and learning rate of the network; the paper prints neither.
-_HIDDEN, _LEARNING_RATE = 64, 5e-3
 
 
 def build_semantic_mapping(

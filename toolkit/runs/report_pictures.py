@@ -1,4 +1,4 @@
-"""Pictures of a run's report: classes by level, loops, and the graph of the submaps."""
+"""Pictures of a report: classes by level, floor plan, loops, and the graph of the submaps."""
 
 from __future__ import annotations
 
@@ -33,6 +33,8 @@ _LOOP_PAIRS = 4
 _VIEWS, _POINTS = 8, 200
 # With more submaps, the number of pairs grows too large for a drawing.
 _MAX_SUBMAPS = 100
+# Gaussians with a smaller opacity do not represent surfaces.
+_MIN_OPACITY = 0.5
 
 
 def level_images(palette: Palette, nodes: Sequence[NDArray[np.integer]]) -> list[LevelImage]:
@@ -89,10 +91,6 @@ def _views(
         np.concatenate(points_m),
         frusta,
     )
-
-
-# Gaussians with a smaller opacity do not represent surfaces.
-_MIN_OPACITY = 0.5
 
 
 def report_floor_plan(

@@ -20,6 +20,11 @@ from toolkit.keyframe import Keyframe
 from toolkit.semantics.histograms import class_histogram, smoothed_kl
 from toolkit.submaps.options import AllocationOptions
 
+# KL divergence in nats from which a view is semantically new with many classes (G: 0.4).
+_MIN_DIVERGENCE = 0.4
+# Distance from the anchor that starts a new submap by the rule motion.
+_MOVED_M, _TURNED_DEG = 0.5, 50.0
+
 
 def view_overlap(keyframe: Keyframe, others: Sequence[Keyframe]) -> float:
     """Fraction of a keyframe's observed points inside the union of viewing volumes (r_olap).
@@ -47,12 +52,6 @@ def view_overlap(keyframe: Keyframe, others: Sequence[Keyframe]) -> float:
         inside[inside] = other.in_front_of_surface(points[inside])
         remaining = remaining[~inside]
     return 1.0 - len(remaining) / count if count else 0.0
-
-
-# KL divergence in nats from which a view is semantically new with many classes (G: 0.4).
-_MIN_DIVERGENCE = 0.4
-# Distance from the anchor that starts a new submap by the rule motion.
-_MOVED_M, _TURNED_DEG = 0.5, 50.0
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ class Atlas:
         self._allocation = allocation
         self._store = store or SubmapStore()
         self._submaps = [PagedSubmap.of(first, self._store)]
-        self._none = first.gaussians.to("cpu")
+        self._none = GaussianCloud.empty(first.gaussians.features.shape[1])
         self._checkpoints: list[dict[str, int]] = []
 
     @property

@@ -25,6 +25,21 @@ from toolkit.tracking.flying_pixels import without_flying_pixels
 
 # Maximum difference of the inverse depths on both sides of a gap, relative to their mean.
 _MAX_DIFFERENCE = 0.05
+# Half-sizes of the windows.
+_RADII = (8, 5, 3, 2)
+# A window is planar if its variance exceeds that of the noise by at most this number of standard
+# deviations of the variance estimate.
+_MAX_EXCESS_SIGMAS = 1.5
+# Minimum fraction of measured pixels in a window.
+_MIN_VALID_FRACTION = 0.6
+# Minimum depth step of an edge, in standard deviations of the noise.
+_EDGE_SIGMAS = 6.0
+# Half-size of the window of the bilateral average.
+_BILATERAL_RADIUS = 3
+# Smaller noise (1 / m) is quantisation: exact depth is not filtered.
+_MIN_NOISE = 2e-4
+# Number of resolutions at which the noise is estimated: full, half and quarter.
+_LEVELS = 3
 
 
 def without_gaps(inverse: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -62,23 +77,6 @@ def _without_gaps_numpy(inverse: NDArray[np.float32]) -> NDArray[np.float32]:
     filled = inverse.copy()
     filled[rows[gap], columns[gap]] = total[gap] / count[gap]
     return filled
-
-
-# Half-sizes of the windows.
-_RADII = (8, 5, 3, 2)
-# A window is planar if its variance exceeds that of the noise by at most this number of standard
-# deviations of the variance estimate.
-_MAX_EXCESS_SIGMAS = 1.5
-# Minimum fraction of measured pixels in a window.
-_MIN_VALID_FRACTION = 0.6
-# Minimum depth step of an edge, in standard deviations of the noise.
-_EDGE_SIGMAS = 6.0
-# Half-size of the window of the bilateral average.
-_BILATERAL_RADIUS = 3
-# Smaller noise (1 / m) is quantisation: exact depth is not filtered.
-_MIN_NOISE = 2e-4
-# Number of resolutions at which the noise is estimated: full, half and quarter.
-_LEVELS = 3
 
 
 class DepthFilter:

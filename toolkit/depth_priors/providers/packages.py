@@ -19,6 +19,8 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
 Bytes = NDArray[np.uint8]
+_SUFFIXES = (".safetensors", ".bin", ".pt", ".pth", ".ckpt")
+_BLOCK = 1 << 20
 
 
 def import_package(module: str, options: PriorModelOptions, source: str) -> ModuleType:
@@ -83,10 +85,6 @@ def camera_of(matrix: NDArray, size: tuple[int, int]) -> Camera | None:
     if not np.isfinite([fx, fy, cx, cy]).all() or min(fx, fy) <= 0:
         return None
     return Camera(fx, fy, cx - 0.5, cy - 0.5, *size)
-
-
-_SUFFIXES = (".safetensors", ".bin", ".pt", ".pth", ".ckpt")
-_BLOCK = 1 << 20
 
 
 def sha256_of(path: Path) -> str | None:

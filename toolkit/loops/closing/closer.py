@@ -46,6 +46,10 @@ Array = NDArray[np.float64]
 _SIMILAR = 4
 
 _log = logging.getLogger(__name__)
+# Information of an unknown pose: standard deviations of 10 m and 3 rad.
+_UNKNOWN_POSE = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
+# Information between the submaps of a loaded map, whose relative poses are fixed.
+_RIGID = np.eye(6) * 1e9
 
 
 class LoopCloser:
@@ -363,17 +367,9 @@ def _found_motion(atlas: Atlas, found: Relocalisation) -> dict[str, Any]:
     return {"query": query, "match": match} | motion
 
 
-# Information of an unknown pose: standard deviations of 10 m and 3 rad.
-_UNKNOWN_POSE = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
-
-
 def _is_unknown(link: PoseEdge) -> bool:
     """Whether a link only bounds the pose of a submap that started at a lost frame."""
     return np.array_equal(link.information, _UNKNOWN_POSE)
-
-
-# Information between the submaps of a loaded map, whose relative poses are fixed.
-_RIGID = np.eye(6) * 1e9
 
 
 def _is_fixed(link: PoseEdge) -> bool:

@@ -25,6 +25,10 @@ from toolkit.loops.pose_graph.clique import largest_clique
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.loops.pose_graph.options import PoseGraphOptions
 
+Array = NDArray[np.float64]
+# Number of loops up to which the largest consistent set is found exactly.
+_EXACT_UP_TO = 40
+
 
 def quantile(confidence: float, degrees: int) -> float:
     """Return the chi-square quantile for `degrees` degrees of freedom.
@@ -39,12 +43,6 @@ def quantile(confidence: float, degrees: int) -> float:
     if not 0.0 < confidence <= 1.0:
         raise ValueError(f"confidence must be above 0 and at most 1, got {confidence}")
     return 2.0 * float(gammaincinv(0.5 * degrees, confidence))
-
-
-Array = NDArray[np.float64]
-
-# Number of loops up to which the largest consistent set is found exactly.
-_EXACT_UP_TO = 40
 
 
 class OdometryChain:

@@ -26,6 +26,20 @@ from toolkit.rendering import RenderOutput, render
 from toolkit.rendering.output import COLOUR
 from toolkit.submaps.submap import Submap
 
+Array = NDArray[np.float64]
+# Adam's rounds: each one starts at the best pose so far with lower learning rates, and ends after a
+# number of iterations without a relative decrease of the loss.
+_ITERATIONS = 150
+_TRANSLATION_RATE_M, _ROTATION_RATE_RAD = 0.005, 0.003
+_ROUNDS, _RATE_DECAY = 3, 0.2
+_PATIENCE, _MIN_GAIN = 8, 0.001
+# Minimum silhouette in both maps of the pixels compared.
+_MIN_SILHOUETTE = 0.9
+# Views with fewer common pixels are ignored.
+_MIN_PIXELS = 50
+# Fixed-point iterations of the residual scales.
+_SCALE_ITERATIONS = 8
+
 
 @dataclass(frozen=True)
 class ViewFeatures:
@@ -56,22 +70,6 @@ class ViewFeatures:
         """Return the descriptor [D] of a view's images."""
         semantic = images[None, 3:] if self.describer.wants_semantics else None
         return self.describer.describe(images[None, :3], semantic)[0]
-
-
-Array = NDArray[np.float64]
-
-# Adam's rounds: each one starts at the best pose so far with lower learning rates, and ends after a
-# number of iterations without a relative decrease of the loss.
-_ITERATIONS = 150
-_TRANSLATION_RATE_M, _ROTATION_RATE_RAD = 0.005, 0.003
-_ROUNDS, _RATE_DECAY = 3, 0.2
-_PATIENCE, _MIN_GAIN = 8, 0.001
-# Minimum silhouette in both maps of the pixels compared.
-_MIN_SILHOUETTE = 0.9
-# Views with fewer common pixels are ignored.
-_MIN_PIXELS = 50
-# Fixed-point iterations of the residual scales.
-_SCALE_ITERATIONS = 8
 
 
 class FirstOrderFineRegistration(FineRegistration):

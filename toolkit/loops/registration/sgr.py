@@ -18,6 +18,8 @@ from toolkit.loops.registration.views import ViewRenderer, views_of_overlap
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
+# Maximum difference of two poses; well above the errors of correct registrations.
+_MAX_DISTANCE_M, _MAX_ANGLE_RAD = 0.1, 0.07
 
 
 class Refiner(Protocol):
@@ -129,10 +131,6 @@ class CoarseOnly:
             class_agreement=check.class_agreement,
             renders=self.renderer.renders - before,
         )
-
-
-# Maximum difference of two poses; well above the errors of correct registrations.
-_MAX_DISTANCE_M, _MAX_ANGLE_RAD = 0.1, 0.07
 
 
 class SecondOpinion:

@@ -1,4 +1,4 @@
-"""Interface of segmenters."""
+"""Interface of segmenters, and frames without labels."""
 
 from __future__ import annotations
 
