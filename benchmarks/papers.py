@@ -28,7 +28,8 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import TrueViews, loop_metrics
 from toolkit.evaluation.metrics import flattened
 from toolkit.evaluation.run_loops import true_views
-from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.factory import build_encoder
+from toolkit.features.options import FeatureOptions
 from toolkit.io.arrays import arrays_below
 from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe
 from toolkit.loops.class_counts import ClassCounter, GaussianClassCounter, PixelClassCounter
@@ -293,11 +294,9 @@ def searched(values: Values, seed: int) -> Metrics:
     """Loop metrics of the candidates of every keyframe of the ring, with one kind of landmarks."""
     ring = counted_ring(seed)
     landmarks = LandmarkOptions(**values)
+    encoder = build_encoder(FeatureOptions())
     finder = CandidateFinder(
-        BuiltinEncoder.dimensions,
-        BuiltinEncoder.threshold,
-        CandidateOptions(search_every=1),
-        landmarks,
+        encoder.dimensions, encoder.threshold, CandidateOptions(search_every=1), landmarks
     )
     found = [c for k in ring.keyframes[landmarks.counted] for c in finder.add(k) if c.accepted]
     frames = [keyframe.frame for keyframe in ring.keyframes[landmarks.counted]]
