@@ -56,14 +56,11 @@ def start_at(
     """
     number, T_submap_camera = place
     source = atlas.submap(number)
-    if not inherit:
-        empty = source.gaussians.select(_NO_INDICES)
-        source = replace(source, gaussians=empty, optimiser=OptimiserState(_NO_INDICES.int()))
-    else:
+    if inherit:
         located = replace(anchor, T_map_camera=T_submap_camera)
         mapper.exposures.estimate(located, source.keyframes)
         anchor = replace(located, T_map_camera=anchor.T_map_camera)
-    _start(atlas, mapper, anchor, source, T_submap_camera)
+    _start(atlas, mapper, anchor, source, T_submap_camera, inherit)
 
 
 def _start(
@@ -72,39 +69,34 @@ def _start(
     anchor: Keyframe,
     source: Submap,
     T_source_camera: NDArray[np.float64],
+    inherit: bool = True,
 ) -> None:
     """Start a submap at a keyframe that has a pose in an existing submap."""
-    copies, steps = _inherited(atlas, mapper, anchor, source, T_source_camera)
+    index = _NO_INDICES
+    if inherit and atlas.boundary.inherit:
+        index = _seen(mapper, anchor, source, T_source_camera)
+    copies = source.gaussians.select(index).transformed(se3.inverse(T_source_camera))
     submap = Submap(
         len(atlas),
         atlas.T_world_submap(source.number) @ T_source_camera,
-        copies,
+        replace(copies, centred_colours=mapper.options.centred),
         [],
         torch.full((len(copies),), anchor.index, dtype=torch.int32),
         _boundary_row(atlas, anchor.index),
-        OptimiserState(steps),
+        OptimiserState(source.optimiser.steps.index_select(0, index)),
     )
     mapper.skip_deferred_steps()
     atlas.start(submap.to(atlas.device))
     mapper.add_keyframe(atlas.current, anchor)
 
 
-def _inherited(
-    atlas: Atlas,
-    mapper: Mapper,
-    anchor: Keyframe,
-    source: Submap,
-    T_source_camera: NDArray[np.float64],
-) -> tuple[GaussianCloud, Tensor]:
-    """Copies of the Gaussians that the first keyframe sees, in its frame, and their steps [N]."""
-    cloud, T_camera_source = source.gaussians, se3.inverse(T_source_camera)
-    index = _NO_INDICES
-    if atlas.boundary.inherit:
-        view = mapper.render(cloud, anchor.camera, T_source_camera)
-        index = visible_gaussians(view, cloud, anchor.camera, T_camera_source)
-    copies = cloud.select(index).transformed(T_camera_source)
-    copies = replace(copies, centred_colours=mapper.options.centred)
-    return copies, source.optimiser.steps.index_select(0, index)
+def _seen(
+    mapper: Mapper, anchor: Keyframe, source: Submap, T_source_camera: NDArray[np.float64]
+) -> Tensor:
+    """Indices [V] of the Gaussians of a submap that a keyframe at a pose in it sees."""
+    view = mapper.render(source.gaussians, anchor.camera, T_source_camera)
+    T_camera_source = se3.inverse(T_source_camera)
+    return visible_gaussians(view, source.gaussians, anchor.camera, T_camera_source)
 
 
 def _boundary_row(atlas: Atlas, index: int) -> NDArray[np.float32]:

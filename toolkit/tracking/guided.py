@@ -31,7 +31,7 @@ from toolkit.stages import Stage
 from toolkit.tracking.given import GivenPoses
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import TrackingResult
-from toolkit.tracking.views import MapRenderer, RenderedView
+from toolkit.tracking.views import MapRenderer, RenderedView, apparent_motion
 
 # Given poses are wrong by one or two pixels.
 _LEVELS = 2
@@ -114,10 +114,7 @@ class GuidedTracker(GivenPoses):
             return given
         with self._recorder.timed(Stage.TRACKING_ALIGN):
             found, exposure = self._aligned(frame, view)
-        correction = float(
-            np.linalg.norm(found.T_view_camera[:3, 3]) / float(known.median())
-            + se3.rotation_angle_rad(found.T_view_camera[:3, :3])
-        )
+        correction = apparent_motion(found.T_view_camera, float(known.median()))
         if not correction * frame.camera.focal < _MAX_CORRECTION_PX:
             return given
         self._exposure = exposure

@@ -77,10 +77,14 @@ class Task:
         return self.size(se3.inverse(T_map_first) @ T_map_second)
 
     def size(self, motion: Array) -> float:
-        """Translation of a motion [4, 4] as a fraction of the median depth, plus rotation (rad).
+        """Size of a motion [4, 4]; see `apparent_motion`."""
+        return apparent_motion(motion, self.prepared.median_depth_m)
 
-        This is about the displacement of the image in focal lengths.
-        """
-        metres = np.linalg.norm(motion[:3, 3])
-        radians = se3.rotation_angle_rad(motion[:3, :3])
-        return float(metres / self.prepared.median_depth_m + radians)
+
+def apparent_motion(motion: Array, depth_m: float) -> float:
+    """Translation of a motion [4, 4] as a fraction of the median depth, plus rotation (rad).
+
+    This is about the displacement of the image in focal lengths.
+    """
+    metres, radians = np.linalg.norm(motion[:3, 3]), se3.rotation_angle_rad(motion[:3, :3])
+    return float(metres / depth_m + radians)
