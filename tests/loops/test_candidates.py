@@ -107,12 +107,29 @@ def test_best_candidate_of_each_submap_comes_first():
     assert found[2].match == 10 and "2 are kept" in found[2].reason
 
 
-@pytest.mark.parametrize("weighting", ["sqrt", "linear", "paper"])
+@pytest.mark.parametrize("weighting", ["sqrt", "linear", "inverse"])
 def test_every_weighting_distinguishes_similar_places(weighting):
     finder = CandidateFinder(D, THRESHOLD, OPTIONS, LandmarkOptions(weighting))
     found = [finder.add(keyframe(n)) for n in range(PLACES + 21)]
     assert accepted(found[-1])[0] == 20
     assert not next(c for c in found[-1] if c.match // 5 == 5).accepted
+
+
+def test_printed_weights_are_those_of_each_keyframes_submap():
+    """The same view matches while both submaps count alike, and no longer when one has grown."""
+    limits = replace(OPTIONS, max_landmark_distance=0.1)
+    small, large = np.full(PLACES + 1, 100), np.full(PLACES + 1, 100)
+    large[3] = 5000
+    for second, matches in ((small, [3]), (large, [])):
+        finder = CandidateFinder(D, THRESHOLD, limits, LandmarkOptions("paper"))
+        for number in range(PLACES + 4):
+            counts = small if number < PLACES else second
+            view = replace(keyframe(number), submap=number // PLACES, submap_counts=counts)
+            found = finder.add(view)
+        assert accepted(found) == matches
+        restored = CandidateFinder(D, THRESHOLD, limits, LandmarkOptions("paper"))
+        restored.restore(finder.state())
+        assert accepted(restored.search(PLACES + 3)) == matches
 
 
 def test_every_considered_keyframe_is_returned_once_with_a_reason():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from toolkit.errors import SettingsError
 from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
@@ -13,7 +14,7 @@ from toolkit.keyframe import Keyframe
 from toolkit.loops.class_counts import GaussianClassCounter, PixelClassCounter
 from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
 from toolkit.loops.closing.options import LoopClosureOptions
-from toolkit.loops.options import LandmarkOptions
+from toolkit.loops.options import CandidateOptions, LandmarkOptions
 from toolkit.losses.semantic import SemanticLoss
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
@@ -80,6 +81,26 @@ def test_visible_gaussians_are_counted_by_class():
     assert counts.tolist() == [len(wall[0]), len(chair[0]), 0, 0]
 
 
+def test_all_gaussians_of_a_submap_are_counted_for_equation_7():
+    wall, hidden = grid((-0.5, 0.2), 2.0, 1), grid((-0.3, 0.3), 3.0, 3)
+    counter = GaussianClassCounter(semantics(NAMES), len(NAMES), backend(), whole=True)
+    counts = counter.submap_counts(cloud_of(wall, hidden))
+    assert counts is not None
+    assert counts.tolist() == [len(wall[0]), 0, len(hidden[0]), 0]
+
+
+@pytest.mark.parametrize(
+    ("options", "remedy"),
+    [
+        (LoopClosureOptions(landmarks=LandmarkOptions("paper")), "counted gaussians"),
+        (LoopClosureOptions(landmarks=LandmarkOptions("linear")), "threshold fixed"),
+    ],
+)
+def test_options_of_landmarks_without_effect_are_rejected(options, remedy):
+    with pytest.raises(SettingsError, match=remedy):
+        build_loop_closer(options, ClosingContext(0, "auto", SemanticMapping(), None))
+
+
 def test_labelled_pixels_are_counted_without_the_map():
     labels = np.zeros((30, 40), int)
     labels[:10], labels[10:15] = 3, 1
@@ -101,7 +122,9 @@ def test_the_setting_decides_what_loop_detection_counts(labelled_frame, counted)
     mapper = Mapper(MapperOptions(first_iterations=1), semantics=reading)
     atlas = Atlas(mapper.first_submap())
     mapper.add_keyframe(atlas.current, Keyframe.from_frame(labelled_frame, np.eye(4)))
-    settings = LoopClosureOptions(landmarks=LandmarkOptions(counted=counted))
+    settings = LoopClosureOptions(
+        candidates=CandidateOptions(threshold="fixed"), landmarks=LandmarkOptions(counted=counted)
+    )
     closer = build_loop_closer(settings, ClosingContext(0, "auto", reading, taxonomy))
     closer.keyframe_added(atlas)
     counter = {

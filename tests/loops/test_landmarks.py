@@ -9,7 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.loops.landmarks import gaussian_idf, keyframe_idf, landmark_distance, landmark_vectors
+from toolkit.loops.landmarks import (
+    keyframe_idf,
+    landmark_distance,
+    landmark_vectors,
+    printed_vectors,
+)
 from toolkit.loops.options import LandmarkOptions
 
 # Wall and floor everywhere; a bed in one place, a desk in another.
@@ -47,37 +52,40 @@ def test_vector_is_square_root_of_share_times_idf():
     assert linear[1] / linear[0] == pytest.approx(1.5 * math.log(2) / math.log(4 / 3))
 
 
-@given(st.integers(0, 10_000), st.sampled_from(["sqrt", "linear", "paper"]))
+@given(st.integers(0, 10_000), st.sampled_from(["sqrt", "linear", "inverse"]))
 def test_vectors_are_finite_with_unit_or_zero_length(seed, weighting):
     generator = np.random.default_rng(seed)
     counts = generator.integers(0, 200, (6, 5)) * generator.integers(0, 2, (6, 5))
-    vectors = landmark_vectors(counts, LandmarkOptions(weighting), counts.sum(axis=0))
+    vectors = landmark_vectors(counts, LandmarkOptions(weighting))
     lengths = np.linalg.norm(vectors, axis=1)
     assert np.isfinite(vectors).all()
     assert ((np.abs(lengths - 1) < 1e-9) | (lengths == 0)).all()
     assert not vectors[counts == 0].any()
 
 
-def test_stray_gaussian_only_changes_the_papers_vector():
+def test_stray_gaussian_only_changes_inverse_weights():
     two_strays = COUNTS.copy()
     two_strays[0, DESK], two_strays[1, DESK] = 1, 2
     vectors = landmark_vectors(two_strays)
     assert landmark_distance(vectors[0], vectors[1]) == pytest.approx(0.0, abs=1e-12)
-    map_counts = COUNTS.sum(axis=0)
-    paper = landmark_vectors(two_strays, LandmarkOptions("paper", min_count=1), map_counts)
-    floored = landmark_vectors(two_strays, LandmarkOptions("paper", min_count=100), map_counts)
-    assert paper[0, DESK] > 0.9  # of 1: one Gaussian of 8,901
-    assert floored[0, DESK] < paper[0, DESK]
+    unlimited = landmark_vectors(two_strays, LandmarkOptions("inverse", min_count=1))
+    floored = landmark_vectors(two_strays, LandmarkOptions("inverse", min_count=100))
+    assert unlimited[0, DESK] > 0.9  # of 1: one Gaussian of 8,901
+    assert floored[0, DESK] < unlimited[0, DESK]
 
 
-def test_paper_weighting_matches_equation_7():
-    counts, map_counts = np.array([[400, 100]]), np.array([5000, 500])
-    expected = np.array([500 / 400, 500 / 100]) * np.log(5500 / np.array([5001, 501]))
-    vector = landmark_vectors(counts, LandmarkOptions("paper", min_count=1), map_counts)[0]
-    np.testing.assert_allclose(vector, expected / np.linalg.norm(expected))
-    np.testing.assert_allclose(gaussian_idf(map_counts), np.log(5500 / np.array([5001, 501])))
-    with pytest.raises(ValueError, match="map_counts"):
-        landmark_vectors(counts, LandmarkOptions("paper"))
+def test_printed_vectors_are_equation_7_of_each_submap():
+    """Neither floored nor normalised: a second stray Gaussian halves the weight of its class."""
+    counts = np.array([[400, 100, 0], [499, 1, 0], [498, 2, 0]])
+    submaps = np.array([[5000, 500, 20], [3000, 10, 0], [3000, 10, 0]])
+    vectors = printed_vectors(counts, submaps)
+    np.testing.assert_allclose(
+        vectors[0], [500 / 400 * math.log(5520 / 5001), 500 / 100 * math.log(5520 / 501), 0.0]
+    )
+    np.testing.assert_allclose(vectors[1, 1], 500 * math.log(3010 / 11))
+    assert vectors[1, 1] == pytest.approx(2 * vectors[2, 1])
+    with pytest.raises(ValueError, match=r"\[K, C\]"):
+        printed_vectors(counts, submaps[0])
 
 
 def test_distance_is_none_for_uninformative_views():

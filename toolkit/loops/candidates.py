@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.loops.landmarks import landmark_distance, landmark_vectors
+from toolkit.io.arrays import arrays_below
+from toolkit.loops.landmarks import landmark_distance, landmark_vectors, printed_vectors
 from toolkit.loops.options import CandidateOptions, LandmarkOptions
 from toolkit.loops.retrieval import DescriptorIndex, Neighbour
 
@@ -37,6 +38,8 @@ class DescribedKeyframe:
         travelled_m: length of the estimated path up to this keyframe, metres.
         descriptor: [D] float32 of unit length.
         class_counts: [C] observed pixels or Gaussians per class, void excluded; C may be 0.
+        submap_counts: [C] Gaussians per class in its submap so far; None where they are not
+            counted.
     """
 
     frame: int
@@ -44,6 +47,7 @@ class DescribedKeyframe:
     travelled_m: float
     descriptor: NDArray[np.float32]
     class_counts: NDArray[np.int64]
+    submap_counts: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class LoopCandidate:
         query_submap, match_submap: numbers of their submaps.
         distance: Euclidean distance between the descriptors.
         cosine: cosine similarity of the descriptors.
-        landmark_distance: distance between the landmark vectors, in [0, sqrt 2]; None if unknown.
+        landmark_distance: distance between the landmark vectors; None if unknown.
         reason: why it was accepted or rejected.
         accepted: whether it is passed on to verification.
     """
@@ -119,6 +123,7 @@ class CandidateFinder:
         self._submaps: list[int] = []
         self._travelled_m: list[float] = []
         self._class_counts: list[NDArray[np.int64]] = []
+        self._submap_counts: dict[int, NDArray[np.int64]] = {}
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -151,6 +156,8 @@ class CandidateFinder:
         self._submaps.append(keyframe.submap)
         self._travelled_m.append(keyframe.travelled_m)
         self._class_counts.append(np.array(keyframe.class_counts, np.int64))
+        if keyframe.submap_counts is not None:
+            self._submap_counts[keyframe.submap] = np.array(keyframe.submap_counts, np.int64)
         return number
 
     @property
@@ -165,9 +172,7 @@ class CandidateFinder:
         found = self._index.search(self._index.descriptor(number), options.considered, among)
         if not found:
             return []
-        counts = np.stack(self._class_counts)
-        # The paper counts over the map; the sum over all keyframes stands in for it.
-        vectors = landmark_vectors(counts, self._landmarks, map_counts=counts.sum(axis=0))
+        vectors = self._landmark_vectors()
         limit = self._threshold_of(number)
         evaluated = [
             self._evaluate(
@@ -178,6 +183,15 @@ class CandidateFinder:
         rejected = [c for c in evaluated if not c.accepted]
         order = _by_distance if options.threshold == "rank" else _by_landmarks
         return _select([c for c in evaluated if c.accepted], options.kept, order) + rejected
+
+    def _landmark_vectors(self) -> NDArray[np.float64]:
+        """Landmark vectors [K, C] of all keyframes."""
+        counts = np.stack(self._class_counts)
+        if self._landmarks.weighting != "paper":
+            return landmark_vectors(counts, self._landmarks)
+        unknown = np.zeros_like(counts[0])
+        rows = [self._submap_counts.get(submap, unknown) for submap in self._submaps]
+        return printed_vectors(counts, np.stack(rows))
 
     def most_similar(self, descriptor: NDArray[np.float32], count: int) -> list[SimilarKeyframe]:
         """Return the keyframes with the nearest descriptors to [D], nearest first."""
@@ -195,6 +209,7 @@ class CandidateFinder:
             "submaps": np.array(self._submaps, np.int64),
             "travelled_m": np.array(self._travelled_m, np.float64),
             "class_counts": np.stack(counts) if counts else np.zeros((0, 0), np.int64),
+            **{f"submap_counts/{n}": c for n, c in self._submap_counts.items()},
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
@@ -204,6 +219,8 @@ class CandidateFinder:
         self._submaps = [int(n) for n in state["submaps"]]
         self._travelled_m = [float(m) for m in state["travelled_m"]]
         self._class_counts = [np.array(counts) for counts in state["class_counts"]]
+        submap_counts = arrays_below(state, "submap_counts/")
+        self._submap_counts = {int(n): np.array(c) for n, c in submap_counts.items()}
 
     def _check(self, keyframe: DescribedKeyframe) -> None:
         if not self._frames:

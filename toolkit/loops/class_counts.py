@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -20,6 +21,10 @@ from toolkit.semantics.histograms import class_counts
 
 class ClassCounter(Protocol):
     """Counts what a keyframe observes of each class."""
+
+    def submap_counts(self, gaussians: GaussianCloud) -> NDArray[np.int64] | None:
+        """Return the Gaussians [C] per class of a submap; None if they are not counted."""
+        ...
 
     def counts(self, keyframe: Keyframe, gaussians: GaussianCloud) -> NDArray[np.int64]:
         """Return the counts [C] of the classes, void excluded.
@@ -41,6 +46,10 @@ class PixelClassCounter:
 
     classes: int
 
+    def submap_counts(self, gaussians: GaussianCloud) -> NDArray[np.int64] | None:
+        """See ClassCounter."""
+        return None
+
     def counts(self, keyframe: Keyframe, gaussians: GaussianCloud) -> NDArray[np.int64]:
         """See ClassCounter."""
         if keyframe.class_ids is None:
@@ -58,16 +67,26 @@ class GaussianClassCounter:
         semantics: decoder of the map's features.
         classes: number C of classes in the taxonomy.
         backend: backend that renders the surface.
+        whole: whether the Gaussians of whole submaps are counted too, as equation 7 needs.
     """
 
     semantics: SemanticMapping
     classes: int
     backend: Backend
+    whole: bool = False
+
+    def submap_counts(self, gaussians: GaussianCloud) -> NDArray[np.int64] | None:
+        """See ClassCounter."""
+        return self._by_class(gaussians.features.to("cpu")) if self.whole else None
 
     def counts(self, keyframe: Keyframe, gaussians: GaussianCloud) -> NDArray[np.int64]:
         """See ClassCounter."""
         cloud, T_camera_map = gaussians.to("cpu"), se3.inverse(keyframe.T_map_camera)
         view = render_surface(self.backend, cloud, keyframe.camera, T_camera_map)
         visible = visible_gaussians(view, cloud, keyframe.camera, T_camera_map)
-        decoding = self.semantics.decode_gaussians(cloud.features.index_select(0, visible))
+        return self._by_class(cloud.features.index_select(0, visible))
+
+    def _by_class(self, features: Tensor) -> NDArray[np.int64]:
+        """Count Gaussians with features [N, S] by their decoded class."""
+        decoding = self.semantics.decode_gaussians(features)
         return class_counts(decoding.class_ids, self.classes)[1:]

@@ -53,9 +53,8 @@ class LoopDetector:
         descriptor = self._descriptor(keyframe)
         atlas.describe(descriptor)
         T_world_camera = atlas.T_world_submap(atlas.active) @ keyframe.T_map_camera
-        counts = self._counter.counts(keyframe, atlas.gaussians)
         return self._finder.add(
-            self._describe_keyframe(keyframe, atlas.active, T_world_camera, descriptor, counts)
+            self._described(keyframe, atlas.current, T_world_camera, descriptor)
         )
 
     def add_saved_submaps(self, submaps: Iterable[Submap]) -> None:
@@ -72,29 +71,30 @@ class LoopDetector:
                     continue
                 last = keyframe.index
                 T_world_camera = submap.T_world_camera(keyframe)
-                counts = self._counter.counts(keyframe, submap.gaussians)
-                self._finder.remember(
-                    self._describe_keyframe(
-                        keyframe, submap.number, T_world_camera, descriptor, counts
-                    )
-                )
+                self._finder.remember(self._described(keyframe, submap, T_world_camera, descriptor))
         self._travelled_m += self._finder.options.min_gap_m
         self._last = None
 
-    def _describe_keyframe(
+    def _described(
         self,
         keyframe: Keyframe,
-        submap: int,
+        submap: Submap,
         T_world_camera: NDArray[np.float64],
         descriptor: NDArray[np.float32],
-        counts: NDArray[np.int64],
     ) -> DescribedKeyframe:
         """Build the stored keyframe and update the length of the path."""
         position = T_world_camera[:3, 3]
         if self._last is not None:
             self._travelled_m += float(np.linalg.norm(position - self._last))
         self._last = position
-        return DescribedKeyframe(keyframe.index, submap, self._travelled_m, descriptor, counts)
+        return DescribedKeyframe(
+            keyframe.index,
+            submap.number,
+            self._travelled_m,
+            descriptor,
+            self._counter.counts(keyframe, submap.gaussians),
+            self._counter.submap_counts(submap.gaussians),
+        )
 
     @property
     def searched(self) -> bool:

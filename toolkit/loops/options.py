@@ -14,7 +14,7 @@ from toolkit.options import (
     Range,
 )
 
-Weighting = Literal["sqrt", "linear", "paper"]
+Weighting = Literal["sqrt", "linear", "inverse", "paper"]
 Counted = Literal["pixels", "gaussians"]
 
 
@@ -48,14 +48,16 @@ class CandidateOptions:
 
 @dataclass(frozen=True)
 class LandmarkOptions:
-    """Landmark vectors: the weighted class counts of a view."""
+    """Landmark vectors: the weighted class counts of a view. They order the candidates below a
+    fixed or adaptive descriptor distance; candidates selected by rank are ordered by descriptor."""
 
     weighting: Weighting = "sqrt"
     """Weight of a class: the square root of its fraction of the view (sqrt), the fraction (linear),
-    or equation 7 of GauSem-SLAM as printed (paper)."""
+    the inverse of the fraction (inverse), or equation 7 of GauSem-SLAM as printed, which needs
+    counted gaussians (paper)."""
     min_count: NonNegativeInt = 10
-    """Minimum count for a class to be seen by a keyframe; the floor on M_c in the weighting
-    paper."""
+    """Minimum count for a class to be seen by a keyframe; the weighting inverse takes smaller
+    counts as this one, and paper ignores it."""
     counted: Counted = "pixels"
     """What is counted per class: the labelled pixels of a keyframe (pixels) or the Gaussians that
     it observes as in GauSem-SLAM (gaussians)."""

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.errors import SettingsError
 from toolkit.features.factory import build_describer, build_differentiable_describer
 from toolkit.frame import Recorder
 from toolkit.loops.candidates import CandidateFinder
@@ -19,7 +20,7 @@ from toolkit.loops.closing.pair_matching import PairMatcher
 from toolkit.loops.closing.parts import ClosingParts
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
-from toolkit.loops.options import LandmarkOptions
+from toolkit.loops.options import CandidateOptions, LandmarkOptions
 from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.loops.registration.factory import build_fine, build_registrar, needs_describer
@@ -63,8 +64,10 @@ def build_loop_closer(
         registration: how submaps are registered; default if None.
 
     Raises:
+        SettingsError: options of landmarks that have no effect, or need Gaussians to be counted.
         ToolkitError: FAISS or the encoder's weights are missing.
     """
+    _check_landmarks(options)
     registration = registration or RegistrationOptions()
     describer = build_describer(options.features)
     finder = CandidateFinder(
@@ -99,9 +102,31 @@ def build_loop_closer(
     return LoopCloser(detector, parts, options.closing, log, recorder)
 
 
+def _check_landmarks(options: LoopClosureOptions) -> None:
+    """Reject options of landmarks that would not do what they say."""
+    landmarks, candidates = options.landmarks, options.candidates
+    if landmarks.weighting == "paper" and landmarks.counted != "gaussians":
+        raise SettingsError(
+            "--loops.landmarks.weighting paper counts Gaussians; add "
+            "--loops.landmarks.counted gaussians, or use the weighting inverse"
+        )
+    unlimited = candidates.max_landmark_distance >= CandidateOptions().max_landmark_distance
+    if landmarks != LandmarkOptions() and candidates.threshold == "rank" and unlimited:
+        raise SettingsError(
+            "--loops.landmarks has no effect on candidates that are ranked by descriptor; add "
+            "--loops.candidates.threshold fixed (or adaptive), or a smaller "
+            "--loops.candidates.max-landmark-distance"
+        )
+
+
 def _class_counter(options: LandmarkOptions, context: ClosingContext) -> ClassCounter:
     """Build the counter of the classes that a keyframe shows."""
     classes = len(context.taxonomy) if context.taxonomy else 0
     if options.counted == "pixels" or not context.semantics.channels:
         return PixelClassCounter(classes)
-    return GaussianClassCounter(context.semantics, classes, backend(context.backend_name))
+    return GaussianClassCounter(
+        context.semantics,
+        classes,
+        backend(context.backend_name),
+        whole=options.weighting == "paper",
+    )
