@@ -6,7 +6,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.gaussians.allocation import choose_pixels, pixels_per_class
+from toolkit.gaussians.allocation import (
+    choose_pixels,
+    pixels_per_class,
+    printed_pixels_per_class,
+)
 
 AREAS = st.lists(st.integers(0, 5000), min_size=1, max_size=30)
 
@@ -31,6 +35,13 @@ def test_unlimited_classes_are_proportional_to_the_square_root(areas, total):
 
 def test_small_class_is_limited_and_the_remainder_redistributed():
     assert pixels_per_class(np.array([50, 10000, 40000]), 10050).tolist() == [50, 3333, 6667]
+
+
+def test_printed_distribution_leaves_the_remainder():
+    """100, 10000 and 40000 have roots 10, 100, 200: of 50100, 1616, 16161 and 32322 are asked."""
+    counts = printed_pixels_per_class(np.array([100, 10000, 40000]), 50100)
+    assert counts.tolist() == [100, 10000, 32322]
+    assert printed_pixels_per_class(np.zeros(2, int), 10).tolist() == [0, 0]
 
 
 def test_areas_of_the_chosen_pixels_add_up_to_the_mask():

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
+
+Distribution = Callable[[NDArray[np.integer], int], NDArray[np.int64]]
 
 
 def pixels_per_class(areas: NDArray[np.integer], total: int) -> NDArray[np.int64]:
@@ -41,20 +45,41 @@ def pixels_per_class(areas: NDArray[np.integer], total: int) -> NDArray[np.int64
     return counts
 
 
+def printed_pixels_per_class(areas: NDArray[np.integer], total: int) -> NDArray[np.int64]:
+    """Distribute a number of pixels over classes as printed in G-III.A.
+
+    No class gets more pixels than it has. The paper does not distribute the remainder, so that
+    fewer pixels than `total` are chosen.
+
+    Args:
+        areas: [C] number of pixels of each class.
+        total: N_tot of the paper.
+
+    Returns:
+        Number of pixels to choose per class, [C].
+    """
+    areas = np.asarray(areas, np.int64)
+    weight = np.sqrt(areas)
+    wanted = np.floor(total * weight / max(float(weight.sum()), 1.0)).astype(np.int64)
+    return np.minimum(wanted, areas)
+
+
 def choose_pixels(
     mask: NDArray[np.bool_],
     class_ids: NDArray[np.integer] | None,
     share: float,
     generator: np.random.Generator,
+    distribute: Distribution = pixels_per_class,
 ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
     """Choose a random subset of the masked pixels.
 
     Args:
         mask: [H, W] pixels to choose from.
-        class_ids: [H, W] class ids, to choose as many pixels per class as `pixels_per_class`
-            returns, or None for uniform sampling.
+        class_ids: [H, W] class ids, to choose as many pixels per class as `distribute` returns, or
+            None for uniform sampling.
         share: fraction of the masked pixels to choose, in (0, 1].
         generator: source of randomness.
+        distribute: from areas [C] and the total to the number of pixels per class [C].
 
     Returns:
         Mask of the chosen pixels [H, W], and the number of masked pixels that each chosen pixel
@@ -64,7 +89,7 @@ def choose_pixels(
     total = int(np.ceil(share * len(pixels)))
     ids = np.zeros(len(pixels), np.int64) if class_ids is None else class_ids.reshape(-1)[pixels]
     classes, class_index, areas = np.unique(ids, return_inverse=True, return_counts=True)
-    counts = pixels_per_class(areas, total)
+    counts = distribute(areas, total)
     chosen = np.zeros(mask.size, bool)
     area = np.ones(mask.size, np.float32)
     shuffled = generator.permutation(len(pixels))

@@ -19,8 +19,10 @@ class SeedingOptions:
     max_cell: Literal[1, 2, 4] = 2
     """Maximum side length in pixels of a block that becomes one Gaussian, where the surface has
     neither texture nor curvature."""
-    choice: Literal["cells", "uniform", "semantic"] = "cells"
-    """Selection of pixels: all, in blocks (cells), a random subset (uniform), or a subset weighted
-    by class frequency as in GauSem-SLAM (semantic)."""
+    choice: Literal["cells", "uniform", "semantic", "paper"] = "cells"
+    """Selection of pixels: all, in blocks (cells), a random subset (uniform), a subset of which a
+    class has a part in proportion to the square root of its area (semantic), or that of GauSem-SLAM
+    as printed (paper): it does not pass on what small classes cannot use, nor does it enlarge the
+    Gaussians in place of the other pixels."""
     share: Annotated[float, Range(gt=0, le=1)] = 0.5
-    """Fraction of the pixels in a random subset."""
+    """Fraction of the pixels in a random subset (GauSem-SLAM: N_tot of the image area, 1)."""

@@ -14,7 +14,11 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
-from toolkit.gaussians.allocation import choose_pixels
+from toolkit.gaussians.allocation import (
+    choose_pixels,
+    pixels_per_class,
+    printed_pixels_per_class,
+)
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.options import SeedingOptions
 from toolkit.geometry import se3
@@ -45,10 +49,16 @@ def seed(
     """
     wanted = mask & (frame.depth_m > 0)
     if options.choice != "cells":
-        ids = frame.labels if options.choice == "semantic" else None
+        printed = options.choice == "paper"
         chosen, area = choose_pixels(
-            wanted, ids, options.share, generator or np.random.default_rng(0)
+            wanted,
+            None if options.choice == "uniform" else frame.labels,
+            options.share,
+            generator or np.random.default_rng(0),
+            printed_pixels_per_class if printed else pixels_per_class,
         )
+        if printed:
+            return _seed_cells(frame, T_map_camera, chosen, 1, options, start_values)
         cloud = _seed_cells(frame, T_map_camera, chosen, 1, options, start_values)
         grown = torch.from_numpy(np.log(area[chosen]) / 2).to(cloud.log_radii)
         return replace(cloud, log_radii=cloud.log_radii + grown)

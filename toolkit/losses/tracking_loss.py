@@ -1,4 +1,8 @@
-"""The papers' tracking loss with its derivative (H-22, G-2)."""
+"""The papers' tracking loss with its derivative (H-22, G-2).
+
+Both are sums over pixels of L1 norms. A pixel has three colours and one depth, so means over pixels
+and channels would have other relative weights.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +22,18 @@ class TrackingLossWeights:
     Attributes:
         colour, depth: weights of the two L1 terms.
         semantic: weight of the code's loss for the frame's labels; 0 disables it.
-        summed: whether the terms are sums (H) or means (G) over pixels and channels. A pixel has
-            three colour channels and one depth, so this also changes their relative weight.
         min_silhouette: the loss includes pixels with a larger silhouette only.
     """
 
     colour: float
     depth: float
     semantic: float
-    summed: bool
     min_silhouette: float = 0.99
 
 
 PRESETS = {
-    "hier-slam": TrackingLossWeights(colour=0.5, depth=1.0, semantic=0.0, summed=True),
-    "gausem": TrackingLossWeights(colour=1.0, depth=0.5, semantic=0.5, summed=False),
+    "hier-slam": TrackingLossWeights(colour=0.5, depth=1.0, semantic=0.0),
+    "gausem": TrackingLossWeights(colour=1.0, depth=0.5, semantic=0.5),
 }
 
 
@@ -41,7 +42,7 @@ class TrackingLoss:
     """Tracking loss of one rendered view.
 
     Attributes:
-        value: loss as defined by the weights; 0 without valid pixels.
+        value: sum over the valid pixels; 0 without any.
         per_pixel: loss per valid pixel, used to compare poses, because a sum would favour poses
             that show little of the map. Infinite without valid pixels.
         gradient: [5 + S, H, W] derivative of `value` with respect to the rendered images.
@@ -69,17 +70,13 @@ def tracking_loss(
     gradient = torch.zeros_like(images)
     if pixels == 0:
         return TrackingLoss(0.0, float("inf"), gradient, 0)
-    colour_weight, depth_weight = weights.colour, weights.depth
-    if not weights.summed:
-        colour_weight, depth_weight = colour_weight / (3 * pixels), depth_weight / pixels
-
     difference = torch.where(mask, images[COLOUR] - rgb, torch.zeros_like(rgb))
     inverse = torch.where(mask, 1.0 / silhouette, torch.zeros_like(silhouette))
     error = torch.where(mask, depth_sum * inverse - depth_m, torch.zeros_like(depth_m))
-    value = colour_weight * float(difference.abs().sum()) + depth_weight * float(error.abs().sum())
-
-    gradient[COLOUR] = torch.sign(difference) * colour_weight
-    by_sum = torch.sign(error) * inverse * depth_weight
+    value = weights.colour * float(difference.abs().sum())
+    value += weights.depth * float(error.abs().sum())
+    gradient[COLOUR] = torch.sign(difference) * weights.colour
+    by_sum = torch.sign(error) * inverse * weights.depth
     gradient[DEPTH_SUM] = by_sum
     gradient[SILHOUETTE] = -by_sum * depth_sum * inverse
-    return TrackingLoss(value, value / pixels if weights.summed else value, gradient, pixels)
+    return TrackingLoss(value, value / pixels, gradient, pixels)

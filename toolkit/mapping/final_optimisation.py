@@ -8,11 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from toolkit.features.builtin import BuiltinEncoder
 from toolkit.geometry.open3d_bridge import open3d
-from toolkit.losses.features import FeatureLoss
 from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
+from toolkit.mapping.view_features import FeatureLoss
 from toolkit.submaps.submap import Submap
 
 # Number of neighbours that a plane is fitted to. With 32, walls and renderings are equally good.
@@ -62,6 +61,7 @@ def refine(
     optimisation: MapOptimisation,
     options: MapperOptions,
     generator: np.random.Generator,
+    feature: FeatureLoss | None = None,
 ) -> None:
     """Optimise a map over all keyframes, each equally often, in random order.
 
@@ -69,15 +69,13 @@ def refine(
 
     Args:
         generator: chooses the order.
+        feature: additional loss of image features, or None.
     """
     optimiser, count = submap.optimiser, len(submap.keyframes)
     steps_before, start_rate = optimiser.steps, 1.0
     if submap.gaussians.centred_colours:
         optimiser.steps, start_rate = steps_before.clamp(max=_MAX_STEPS_BEFORE), _START_RATE
     removed_steps = steps_before - optimiser.steps
-    feature = None
-    if options.final_feature > 0:
-        feature = FeatureLoss(BuiltinEncoder(), options.final_feature)
     objective = Objective(
         adjust_poses=options.final_poses or options.bundle_adjustment,
         feature=feature,

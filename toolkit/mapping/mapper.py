@@ -13,6 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.features.builtin import BuiltinEncoder
+from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -34,7 +36,9 @@ from toolkit.mapping.moving_objects import hide_moving_objects
 from toolkit.mapping.optimisation import KeyframeImages, MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.mapping.view_features import FeatureLoss, ViewFeatures
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
+from toolkit.rendering.backend import GaussianGradients
 from toolkit.stages import Stage
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.health import has_depth
@@ -69,10 +73,13 @@ class Mapper:
         generator: chooses keyframes, and pixels if only a random fraction of them is seeded.
         semantics: semantics of the map; none by default.
         device: device that stores and optimises submaps, "cpu" or "cuda".
+        describer: computes the features of views that the final refinement compares; of the colour
+            images by default.
         gains: whether the exposures of keyframes are estimated, not only their white balance.
 
     Attributes:
         exposures: estimates those of keyframes.
+        feature_loss: of the final refinement; None without.
         deferred: steps that wait for `take_deferred_step`; None if they are taken at once.
     """
 
@@ -85,6 +92,7 @@ class Mapper:
         semantics: SemanticMapping | None = None,
         device: str = "cpu",
         gains: bool = True,
+        describer: ViewDescriber | None = None,
     ) -> None:
         self.options = options or MapperOptions()
         self.semantics = semantics or SemanticMapping()
@@ -97,6 +105,10 @@ class Mapper:
         self._recorder = recorder or NullRecorder()
         self._observations = KeyframeImages(self.device)
         self._free_space = FreeSpace()
+        self.feature_loss: FeatureLoss | None = None
+        if self.options.final_feature > 0:
+            features = ViewFeatures(describer or ViewDescriber(BuiltinEncoder()), self.semantics)
+            self.feature_loss = FeatureLoss(features, self.options.final_feature)
         self._densification = Densification(self.options, self.semantics, self._generator)
         self._optimisation = MapOptimisation(
             self.options, self.semantics, self._backend, self._observations, self._recorder
@@ -275,6 +287,15 @@ class Mapper:
         """Take one optimisation step on one keyframe; see `MapOptimisation.step`."""
         return self._optimisation.step(submap, keyframe, progress, objective)
 
+    def gradients(
+        self, gaussians: GaussianCloud, keyframe: Keyframe, progress: tuple[int, int]
+    ) -> tuple[float, GaussianGradients]:
+        """Loss of the final refinement on a keyframe; see `MapOptimisation.gradients`."""
+        loss, gradients, _ = self._optimisation.gradients(
+            gaussians, keyframe, progress, self.feature_loss
+        )
+        return loss, gradients
+
     def refine(self, submap: Submap, T_map_cameras: NDArray[np.float64] | None = None) -> None:
         """Refine a submap over all its keyframes, at the end of a run; see `final_optimisation.py`.
 
@@ -300,7 +321,7 @@ class Mapper:
         if self.options.fill_holes:
             with self._recorder.timed(Stage.HOLE_FILLING):
                 self._fill_holes(submap)
-        refine(submap, self._optimisation, self.options, self._generator)
+        refine(submap, self._optimisation, self.options, self._generator, self.feature_loss)
         self._clear_free_space(submap, T_map_cameras)
         self._densification.prune(submap)
 

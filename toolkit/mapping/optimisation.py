@@ -13,16 +13,17 @@ from torch import Tensor
 from toolkit.alignment.pose_adam import PoseAdam, pose_gradient
 from toolkit.caching import LruCache
 from toolkit.frame import Recorder
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe, Observed
-from toolkit.losses.features import FeatureLoss
 from toolkit.losses.photometric import by_observed_depth, rgbd_loss, weigh_depth
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
+from toolkit.mapping.view_features import FeatureLoss
 from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering import RenderOptions, render_surface
-from toolkit.rendering.backend import Backend
+from toolkit.rendering.backend import Backend, GaussianGradients
 from toolkit.rendering.output import COLOUR
 from toolkit.rendering.texture import resample_at_centres
 from toolkit.stages import Stage
@@ -145,16 +146,45 @@ class MapOptimisation:
         Args:
             progress: number of this step and total number of steps of the call.
         """
+        loss, gradients, with_features = self.gradients(
+            submap.gaussians, keyframe, progress, objective.feature
+        )
+        with self._recorder.timed(Stage.MAP_UPDATE):
+            names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))
+            named = {name: getattr(gradients, name) for name in names}
+            self._adam.step(
+                submap.optimiser, submap.gaussians, named, gradients.ids, objective.rate_factor
+            )
+            if objective.adjust_poses and keyframe is not submap.keyframes[0]:
+                self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
+        return loss
+
+    def gradients(
+        self,
+        gaussians: GaussianCloud,
+        keyframe: Keyframe,
+        progress: tuple[int, int],
+        feature: FeatureLoss | None = None,
+    ) -> tuple[float, GaussianGradients, bool]:
+        """Compute the mapping loss of a keyframe at its pose, and its derivatives.
+
+        Args:
+            gaussians: in the frame of the keyframe's pose.
+            progress: see `step`.
+            feature: additional loss of image features, or None.
+
+        Returns:
+            The loss of the images, without that of labels; the derivatives; and whether the
+            feature channels have one.
+        """
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         observed = self._observations.of(keyframe)
         rgb, depth_m, labels = keyframe.observed(observed)
-        if not self._semantics.is_due(progress[0]):
-            labels = None
+        compared = labels if self._semantics.is_due(progress[0]) else None
+        by_classes = feature is not None and feature.wants_semantics and labels is not None
         with self._recorder.timed(Stage.MAP_FORWARD):
-            options = RenderOptions(features=labels is not None)
-            view = render_surface(
-                self._backend, submap.gaussians, keyframe.camera, T_camera_map, options
-            )
+            options = RenderOptions(features=compared is not None or by_classes)
+            view = render_surface(self._backend, gaussians, keyframe.camera, T_camera_map, options)
         with self._recorder.timed(Stage.MAP_LOSS):
             images, moving = view.forward_pass.images, observed.transient
             # Equal colours: pixels and windows beside a moving object are compared without it.
@@ -170,24 +200,18 @@ class MapOptimisation:
             adjustment = self._options.depth_adjustment
             if keyframe.prior_m is not None and adjustment.use:
                 adjust_depth(keyframe, gradient, images, adjustment.regularisation)
-            if objective.feature is not None:
-                feature_loss, colour_gradient = objective.feature.gradient(images[COLOUR], rgb)
-                gradient[COLOUR] += colour_gradient
-                loss += feature_loss
         with self._recorder.timed(Stage.MAP_SEMANTIC_LOSS):
-            _, gradient, detached = self._semantics.add_gradient(view, labels, progress, gradient)
+            _, gradient, detached = self._semantics.add_gradient(view, compared, progress, gradient)
+        if feature is not None:
+            with self._recorder.timed(Stage.MAP_LOSS):
+                feature_loss, by_images = feature.gradient(images[:-3], rgb, labels)
+                loss += feature_loss
+                if by_classes and len(gradient) == BASE_CHANNELS:
+                    gradient = torch.cat([gradient, torch.zeros_like(view.features)])
+                gradient += by_images[: len(gradient)]
         with self._recorder.timed(Stage.MAP_BACKWARD):
             gradients = view.forward_pass.backward(gradient, detached=detached)
-        with self._recorder.timed(Stage.MAP_UPDATE):
-            with_features = len(gradient) > BASE_CHANNELS
-            names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))
-            named = {name: getattr(gradients, name) for name in names}
-            self._adam.step(
-                submap.optimiser, submap.gaussians, named, gradients.ids, objective.rate_factor
-            )
-            if objective.adjust_poses and keyframe is not submap.keyframes[0]:
-                self._adjust_pose(keyframe, gradients.T_camera_map.cpu().numpy())
-        return loss
+        return loss, gradients, len(gradient) > BASE_CHANNELS
 
     def _adjust_pose(self, keyframe: Keyframe, matrix_gradient: NDArray[np.float64]) -> None:
         """Take one step on a keyframe's pose.

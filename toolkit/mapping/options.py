@@ -85,7 +85,12 @@ class MapperOptions:
     final_poses: bool = False
     """Optimise keyframe poses during the final refinement (GauSem-SLAM, stage 1)."""
     final_feature: NonNegativeFloat = 0.0
-    """Weight of the feature loss in the final refinement (GauSem-SLAM: 0.5)."""
+    """Weight of the feature loss in the final refinement (GauSem-SLAM, stage 1: 0.5). The images
+    are those of --loops.features.source, the encoder is that of --loops.features.kind, or builtin
+    where that one is not differentiable."""
+    final_anchors: bool = False
+    """Optimise the poses of submaps on the renderings of their joint map after the final refinement
+    (GauSem-SLAM, stage 2), instead of registering overlapping submaps before it."""
     # At 0.5, small holes remain: -0.5 dB and 10 % fewer Gaussians (in a room and a ring of rooms).
     min_silhouette: Annotated[float, Range(gt=0, lt=1)] = 0.85
     """Silhouette below which new Gaussians are seeded (Hier-SLAM++: tau_sil)."""

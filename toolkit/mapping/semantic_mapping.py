@@ -191,6 +191,18 @@ class SemanticMapping:
         colours = values if code.is_colour else self._palette.T.to(values) @ self._softmax(values)
         return (colours * labelled).reshape(3, *output.silhouette.shape)
 
+    def label_colours(self, labels: Tensor) -> Tensor:
+        """Colours [3, H, W] of class ids [H, W] as in `class_colours`; void is black."""
+        assert self._loss is not None, "a map without semantics has no class colours"
+        palette = self._loss.code.codewords if self._loss.code.is_colour else self._with_void
+        rows = palette.to(labels.device).index_select(0, labels.reshape(-1).long())
+        return rows.T.reshape(3, *labels.shape)
+
+    @property
+    def _with_void(self) -> Tensor:
+        """Colours [C + 1, 3] by class id."""
+        return torch.cat([self._palette.new_zeros(1, 3), self._palette])
+
     @functools.cached_property
     def _palette(self) -> Tensor:
         """Colours [C, 3] of the classes, RGB in [0, 1]."""

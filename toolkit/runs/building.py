@@ -9,6 +9,8 @@ import numpy as np
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.evaluation.timing import StageRecorder
+from toolkit.features.factory import build_differentiable_describer
+from toolkit.features.sources import ViewDescriber
 from toolkit.loops.closing.factory import ClosingContext
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
@@ -72,11 +74,23 @@ def build_slam(
         semantics,
         map_device(settings.device, settings.backend),
         gains=front_end.gains,
+        describer=refinement_describer(settings),
     )
     submaps = folder.submaps if folder else None
     atlas = build_atlas(settings.submaps, mapper.first_submap(), labeller, submaps)
     slam = Slam(front_end, mapper, atlas, FrameSources(labeller, settings.denoise), recorder)
     return slam
+
+
+def refinement_describer(settings: RunSettings) -> ViewDescriber | None:
+    """What computes the features that the final refinement compares; None if it compares none.
+
+    Raises:
+        ToolkitError: the encoder's weights are missing.
+    """
+    if settings.mapping.final_feature == 0:
+        return None
+    return build_differentiable_describer(settings.loops.features)
 
 
 def build_run_labeller(settings: RunSettings, dataset: Dataset | None) -> Labeller | None:

@@ -24,6 +24,7 @@ from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
 from toolkit.mapping.keyframes import KeyframeChoice
 from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.refinement.anchors import align_anchors
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.parts import separate
 from toolkit.refinement.within import refine_submaps
@@ -261,6 +262,8 @@ class Slam:
                 separate(self.atlas, parts)
                 poses = partial(poses_beside, self.atlas, self._path, parts)
                 refine_submaps(self.atlas, self.mapper, poses)
+                if self.mapper.options.final_anchors:
+                    align_anchors(self.atlas, self.mapper, parts)
                 free_space = self.mapper.options.free_space
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
         return self.result()

@@ -96,8 +96,9 @@ class FirstOrderTracker(MovingTracker):
         preset = PRESETS[self.options.preset]
         weight = preset.semantic if self.options.semantic is None else self.options.semantic
         if code is not None and weight > 0:
+            # |S_pix - S| is the sum over the three colours, of which the code's loss is the mean.
             weights = SemanticLossWeights(
-                weight=weight,
+                weight=weight * (code.channels if code.is_colour else 1),
                 min_silhouette=preset.min_silhouette,
                 moves_geometry=True,
             )
@@ -160,23 +161,16 @@ class FirstOrderTracker(MovingTracker):
         return self._result(frame, best, renders)
 
     def _with_semantics(self, loss: TrackingLoss, images: Tensor, labels: Tensor) -> TrackingLoss:
-        """Add the semantic term (G-2), as a sum or a mean over pixels depending on the preset."""
+        """Add the semantic term (G-2)."""
         assert self._semantic is not None
         if loss.pixels == 0:
             return loss
-        silhouette = images[SILHOUETTE]
-        term = self._semantic(images[FEATURES].contiguous(), silhouette, labels, (0, 1))
+        term = self._semantic(images[FEATURES].contiguous(), images[SILHOUETTE], labels, (0, 1))
         assert term.silhouette is not None
-        scale = 1.0 if PRESETS[self.options.preset].summed else 1.0 / loss.pixels
-        loss.gradient[FEATURES] = term.features * scale
-        loss.gradient[SILHOUETTE] += term.silhouette * scale
-        per_pixel = term.value * labels.numel() / loss.pixels
-        return TrackingLoss(
-            loss.value + per_pixel * loss.pixels * scale,
-            loss.per_pixel + per_pixel,
-            loss.gradient,
-            loss.pixels,
-        )
+        loss.gradient[FEATURES] = term.features
+        loss.gradient[SILHOUETTE] += term.silhouette
+        value = loss.value + term.value * labels.numel()
+        return TrackingLoss(value, value / loss.pixels, loss.gradient, loss.pixels)
 
     def _result(self, frame: Frame, best: _Candidate, renders: int) -> TrackingResult:
         linear, scales = _evaluate(frame, _view_level(best.images, frame.camera))

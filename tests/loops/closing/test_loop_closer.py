@@ -29,7 +29,7 @@ from toolkit.loops.pose_graph.options import PoseGraphOptions
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.loops.registration.result import RegistrationResult, failed
 from toolkit.loops.relocalisation import LastPosition, Relocaliser
-from toolkit.loops.verification import VerificationLimits
+from toolkit.loops.verification import NO_VERIFICATION, VerificationLimits
 from toolkit.mapping.boundary import start_next
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
@@ -242,6 +242,25 @@ class TestBetween:
         assert not closer.close_between(atlas, atlas.active) and not closer.loops
         refused = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "verified"]
         assert refused and not any(r["accepted"] for r in refused)
+
+    def test_without_tests_a_registration_is_the_edge(self, frames, tmp_path, monkeypatch):
+        """The images of no pair match, none is shared, and the odometry contradicts the result."""
+        monkeypatch.setattr(PairMatcher, "most_matches", lambda *_: [])
+        log = LoopLog(tmp_path / "loops.jsonl")
+        options = ClosingOptions(min_shared=1.01)
+        atlas, closer, _ = closed(frames, {"wrong": True}, log, options)
+        untested = PoseGraphOptions(confidence=1.0, kernel="none")
+        closer._parts = replace(
+            closer._parts,
+            tests=False,
+            verification=NO_VERIFICATION,
+            pose_graph=untested,
+            optimiser=PoseGraphOptimiser(untested),
+        )
+        closer._between = SubmapLoops(closer._parts, options, closer._record)
+        assert closer.close_between(atlas, atlas.active) and closer.loops
+        kinds = {record["kind"] for record in read_loop_log(tmp_path / "loops.jsonl")}
+        assert not kinds & {"images", "verified", "consistency", "retracted"}
 
     def test_it_can_be_left_out(self, frames):
         atlas, closer, registrar = closed(frames, options=ClosingOptions(between=False))

@@ -73,6 +73,14 @@ def test_depth_of_another_time_pulls_both_directions_to_a_wrong_pose(walk, match
     assert "correlate" in pair.reason
 
 
+def test_without_tests_the_forward_alignment_is_the_result(walk):
+    first, second = keyframe(walk, 0, 0), keyframe(walk, 4, 5)
+    matcher = PairMatcher(PairOptions(max_disagreement_m=1e-9), tests=False)
+    pair = matcher.verified(first, second, matcher.rough(first, second))
+    assert not pair.reason and pair.evidence is None
+    assert verified(first, second).reason
+
+
 def test_the_reason_contains_both_correlations(walk):
     first, second = keyframe(walk, 20, 20), keyframe(walk, 24, 25)
     reason = verified(first, second).reason

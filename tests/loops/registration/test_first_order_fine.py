@@ -12,10 +12,10 @@ from toolkit.geometry import se3
 from toolkit.loops.registration import first_order_fine
 from toolkit.loops.registration.first_order_fine import (
     FirstOrderFineRegistration,
-    ViewFeatures,
     _Objective,
 )
 from toolkit.loops.registration.options import RegistrationOptions
+from toolkit.mapping.view_features import ViewFeatures
 from toolkit.rendering import render
 
 

@@ -24,6 +24,7 @@ from toolkit.loops.registration.views import ViewRenderer
 from toolkit.loops.verification import NO_VERIFICATION, VerificationLimits, rejection_reason
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import map_device
+from toolkit.runs.building import refinement_describer
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
@@ -184,6 +185,7 @@ def refine_submap(task: SubmapTask) -> int:
         None,
         work.source.semantics(),
         map_device(settings.device, settings.backend),
+        describer=refinement_describer(settings),
     )
     submap = submap.to(mapper.device)
     mapper.refine(submap)

@@ -136,7 +136,8 @@ class LoopCloser:
         self.submap_ending(atlas, mapper)
         for number in sorted({c.query_submap for c in self._pending} | {atlas.active}):
             self.close_between(atlas, number)
-        self.register_overlaps(atlas)
+        if not mapper.options.final_anchors:
+            self.register_overlaps(atlas)
 
     def close_within(self, atlas: Atlas, mapper: Mapper) -> bool:
         """Close the loops inside the active submap; return whether its keyframes moved."""
@@ -209,11 +210,11 @@ class LoopCloser:
             return found and self._correct_between(atlas)
 
     def register_overlaps(self, atlas: Atlas) -> bool:
-        """Register all overlapping finished submaps again (stage 2 of G).
+        """Register all overlapping finished submaps again.
 
-        The papers render the joined map at each keyframe and move the anchors by gradient descent.
-        Registration of each overlapping pair optimises the same alignment with second-order steps,
-        and its results can be weighted and rejected.
+        Stage 2 of G moves the anchors by gradient descent on renderings of the joint map
+        (`refinement/anchors.py`). Registration of each overlapping pair optimises the same
+        alignment with second-order steps, and its results can be weighted and rejected.
 
         Returns:
             Whether anchors moved.

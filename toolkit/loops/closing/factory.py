@@ -91,13 +91,14 @@ def build_loop_closer(
     parts = ClosingParts(
         registrar=build_registrar(registration, context.seed, renderer, differentiable),
         nearby=build_fine(registration, renderer, differentiable),
-        matcher=PairMatcher(options.pairs),
+        matcher=PairMatcher(options.pairs, tests=options.verify),
         relocaliser=Relocaliser(detector, options.relocalisation),
         verification=VerificationLimits() if options.verify else NO_VERIFICATION,
         pose_graph=options.pose_graph,
         noise=OdometryNoise(),
         loop_noise=LoopNoise(),
         optimiser=PoseGraphOptimiser(options.pose_graph),
+        tests=options.verify,
     )
     return LoopCloser(detector, parts, options.closing, log, recorder)
 

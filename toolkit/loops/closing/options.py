@@ -70,7 +70,8 @@ class LoopClosureOptions:
     """Detect and close loops."""
     verify: bool = True
     """Reject registrations of submaps that overlap too little, whose surfaces, colours or classes
-    disagree, or that are not determined. Otherwise, all that converge become loops."""
+    disagree, or that are not determined, and pairs of keyframes whose images do not match in both
+    directions. Otherwise, all that converge become loops."""
     features: FeatureOptions = FeatureOptions()
     candidates: CandidateOptions = CandidateOptions()
     landmarks: LandmarkOptions = LandmarkOptions()

@@ -26,6 +26,7 @@ class ClosingParts:
         noise: noise of odometry edges.
         loop_noise: noise of loop edges.
         optimiser: optimises pose graphs.
+        tests: whether the images of keyframes must confirm loops.
     """
 
     registrar: Registrar
@@ -37,3 +38,4 @@ class ClosingParts:
     noise: OdometryNoise
     loop_noise: LoopNoise
     optimiser: PoseGraphOptimiser
+    tests: bool = True

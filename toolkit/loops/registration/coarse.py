@@ -103,7 +103,7 @@ def register_coarse(
                 break
     if average is None or len(average.inliers) < len(usable):
         average = _average(target, source, usable, options, start) if usable else None
-    if average is None or average.inliers.sum() < _MIN_AGREEING:
+    if average is None or average.inliers.sum() < _least(options):
         pooled = _pooled(target, source, options, generator)
         if pooled is not None:
             return pooled
@@ -113,8 +113,13 @@ def register_coarse(
     ranked = np.argsort(-average.weights, kind="stable")
     views = [usable[i][0].source for i in ranked if average.inliers[i]]
     offsets = [offset for _, offset in usable]
-    result = _result(average, offsets, tried)
+    result = _result(average, offsets, tried, _least(options))
     return CoarseRegistration(result, list(dict.fromkeys(views)))
+
+
+def _least(options: RegistrationOptions) -> int:
+    """Minimum number of pairs that agree: without measured offsets (G-5), there is no test."""
+    return _MIN_AGREEING if options.offsets == "measured" else 1
 
 
 def _average(
@@ -149,7 +154,7 @@ def _pooled(
     T_target_camera = found.T_target_source @ T_source_camera
     average = average_motion(T_target_camera, T_source_camera, agree_within=options.agree_within)
     unknown = Offset(np.eye(4), 0, float("nan"), UNKNOWN, np.zeros((6, 6)))
-    result = _result(average, [unknown] * len(found.pairs), len(pairs))
+    result = _result(average, [unknown] * len(found.pairs), len(pairs), _MIN_AGREEING)
     views = [pairs[index].source for index in found.pairs]
     return CoarseRegistration(result, list(dict.fromkeys(views)))
 
@@ -167,9 +172,11 @@ def _offset(
     return measure_offset(first, second, generator)
 
 
-def _result(average: MotionAverage, offsets: list[Offset], tried: int) -> RegistrationResult:
+def _result(
+    average: MotionAverage, offsets: list[Offset], tried: int, least: int
+) -> RegistrationResult:
     agreeing = int(average.inliers.sum())
-    enough = agreeing >= _MIN_AGREEING
+    enough = agreeing >= least
     kept = [offset for offset, agrees in zip(offsets, average.inliers, strict=True) if agrees]
     return RegistrationResult(
         T_target_source=average.T_target_source,
