@@ -21,13 +21,14 @@ endef
 
 emulation = { command -v qemu-x86_64-static && command -v aarch64-linux-gnu-g++ && command -v clang++; } >/dev/null
 
-.PHONY: help demo test bench lint docs ready clean
+.PHONY: help demo test bench tables lint docs ready clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo   generate a synthetic room, run SLAM on it, and print the result files"
 	@echo "make test   run the tests"
 	@echo "make bench  measure the renderer, and compare SLAM with Open3D's dense SLAM"
+	@echo "make tables measure the counterparts of the papers' tables (up to three hours; set SEMSPLAT_DATA)"
 	@echo "make lint   check style, types and import layers"
 	@echo "make docs   build the documentation website in site/"
 	@echo "make clean  remove build products and caches; .venv and runs/ are kept"
@@ -54,6 +55,11 @@ bench: ready $(DEMO_ROOM)/unseen/cam_params.json
 	.venv/bin/python -m benchmarks.renderer --out runs/bench
 	.venv/bin/python -m benchmarks.compare_open3d --dataset.kind synthetic \
 		--dataset.path $(DEMO_ROOM) --max-frames 100
+
+# Continues an interrupted call; QUICK=--quick measures few frames in 15 minutes.
+QUICK ?=
+tables: ready
+	.venv/bin/python -m benchmarks.paper_tables $(QUICK)
 
 lint: ready
 	.venv/bin/ruff check .

@@ -47,27 +47,21 @@ Values = dict[str, Any]
 # Every registration is accepted.
 _ACCEPT_ALL: Values = {
     "verify": False,
-    "closing": {
-        "min_visible": 0.0,
-        "min_shared": 0.0,
-        "max_image_difference_m": 1e9,
-    },
-    "pairs": {
-        "min_visible": 0.0,
-        "max_disagreement_m": 1e9,
-        "max_disagreement_rad": 1e9,
-        "max_sigma_m": 1e9,
-    },
+    "closing": {"min_visible": 0.0},
     "pose_graph": {"confidence": 1.0, "kernel": "none"},
 }
 # No class is ever seen as often, so that landmarks have no effect.
 _NO_LANDMARKS: Values = {"landmarks": {"min_count": 10**9}}
+# Candidates below the encoder's distance, ordered by landmarks.
+_FIXED: Values = _ACCEPT_ALL | {"candidates": {"threshold": "fixed"}}
+_PRINTED: Values = {"landmarks": {"weighting": "paper", "counted": "gaussians"}}
 ROWS: dict[str, Values] = {
     "no loops": {"use": False},
-    "descriptor alone": _ACCEPT_ALL | _NO_LANDMARKS,
-    "and landmarks as printed (G-7)": _ACCEPT_ALL | {"landmarks": {"weighting": "paper"}},
-    "and landmarks, linear": _ACCEPT_ALL | {"landmarks": {"weighting": "linear"}},
-    "and landmarks, square root": _ACCEPT_ALL,
+    "descriptor alone": _FIXED | _NO_LANDMARKS,
+    "and landmarks as printed (G-7)": _FIXED | _PRINTED,
+    "and landmarks, linear": _FIXED | {"landmarks": {"weighting": "linear"}},
+    "and landmarks, square root": _FIXED,
+    "by rank, without verification": _ACCEPT_ALL,
     "and verification (default)": {},
 }
 COLUMNS = (

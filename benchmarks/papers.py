@@ -166,17 +166,21 @@ PARTS: dict[PartName, Part] = {
             "accepted",
         ),
         {
-            "descriptor alone": {"landmarks": {"min_count": _NEVER}},
-            "pixels (default)": {"landmarks": {}},
-            "Gaussians": {"landmarks": {"counted": "gaussians"}},
-            "pixels, weighted as printed": {"landmarks": {"weighting": "paper"}},
-            "Gaussians, weighted as printed": {
-                "landmarks": {"counted": "gaussians", "weighting": "paper"}
-            },
+            f"{encoder}, {row}": {"encoder": encoder, "landmarks": landmarks}
+            for encoder in ("vlad", "builtin")
+            for row, landmarks in {
+                "descriptor alone": {"min_count": _NEVER},
+                "pixels, square root (default weighting)": {},
+                "pixels, linear": {"weighting": "linear"},
+                "pixels, inverse": {"weighting": "inverse"},
+                "Gaussians, square root": {"counted": "gaussians"},
+                "Gaussians, as printed (G-7)": {"counted": "gaussians", "weighting": "paper"},
+            }.items()
         },
-        "Candidates of the search on the ring, before verification. One run of the default system, "
-        "without refinement, counts both; every keyframe is then searched for among the earlier "
-        "ones.",
+        "Candidates of the search on the ring, before verification, as in Algorithm 1: below the "
+        "encoder's descriptor distance (`--loops.candidates.threshold fixed`), the closest "
+        "landmark vector is the loop (`.kept 1`). One run of the default system, without "
+        "refinement, counts both; every keyframe is then searched for among the earlier ones.",
     ),
     "correction": Part(
         "Mapping after a correction inside a submap (G, III.C)",
@@ -267,7 +271,7 @@ def measure(job: Values, seed: int) -> Metrics:
     if "method" in job:
         return registered(job["method"], seed)
     if "landmarks" in job:
-        return searched(job["landmarks"], seed)
+        return searched(job["encoder"], job["landmarks"], seed)
     return measured_run(job["sequence"], job["settings"], seed)
 
 
@@ -290,14 +294,13 @@ def measured_run(sequence: str, values: Values, seed: int) -> Metrics:
         }
 
 
-def searched(values: Values, seed: int) -> Metrics:
+def searched(encoder_kind: str, values: Values, seed: int) -> Metrics:
     """Loop metrics of the candidates of every keyframe of the ring, with one kind of landmarks."""
-    ring = counted_ring(seed)
     landmarks = LandmarkOptions(**values)
-    encoder = build_encoder(FeatureOptions())
-    finder = CandidateFinder(
-        encoder.dimensions, encoder.threshold, CandidateOptions(search_every=1), landmarks
-    )
+    encoder = build_encoder(validated(FeatureOptions, {"kind": encoder_kind}))
+    ring = counted_ring(encoder_kind, seed)
+    options = CandidateOptions(search_every=1, threshold="fixed", kept=1)
+    finder = CandidateFinder(encoder.dimensions, encoder.threshold, options, landmarks)
     found = [c for k in ring.keyframes[landmarks.counted] for c in finder.add(k) if c.accepted]
     frames = [keyframe.frame for keyframe in ring.keyframes[landmarks.counted]]
     metrics = loop_metrics(ring.views, frames, [(c.query, c.match) for c in found])
@@ -313,10 +316,14 @@ class CountedRing:
 
 
 @functools.cache
-def counted_ring(seed: int) -> CountedRing:
-    """The keyframes of a run of the default system, without refinement."""
+def counted_ring(encoder_kind: str, seed: int) -> CountedRing:
+    """The keyframes of a run of the default system with an encoder, without refinement."""
     path = room("ring-small", seed)
-    values = {"dataset": {"kind": "synthetic", "path": str(path)}, "seed": seed}
+    values = {
+        "dataset": {"kind": "synthetic", "path": str(path)},
+        "loops": {"features": {"kind": encoder_kind}},
+        "seed": seed,
+    }
     settings = validated(RunSettings, values)
     dataset = open_dataset("synthetic", path, None)
     slam = build_slam(dataset, settings)
@@ -325,14 +332,20 @@ def counted_ring(seed: int) -> CountedRing:
     semantics, classes = slam.mapper.semantics, len(labeller.taxonomy)
     counters: dict[Counted, ClassCounter] = {
         "pixels": PixelClassCounter(classes),
-        "gaussians": GaussianClassCounter(semantics, classes, backend()),
+        "gaussians": GaussianClassCounter(semantics, classes, backend(), whole=True),
     }
-    counts: dict[Counted, dict[int, NDArray[np.int64]]] = {"pixels": {}, "gaussians": {}}
+    counts: dict[Counted, dict[int, tuple[NDArray, NDArray | None]]] = {
+        name: {} for name in counters
+    }
     for index in range(len(dataset)):
         if slam.process_frame(dataset[index]).mapping is not None:
             newest = slam.atlas.keyframes[-1]
             for counted, counter in counters.items():
-                counts[counted][index] = counter.counts(newest, slam.atlas.gaussians)
+                gaussians = slam.atlas.gaussians
+                counts[counted][index] = (
+                    counter.counts(newest, gaussians),
+                    counter.submap_counts(gaussians),
+                )
     arrays = arrays_below(slam.state()[0], "closer/detector/")
     rows = list(
         zip(
@@ -345,7 +358,7 @@ def counted_ring(seed: int) -> CountedRing:
     )
     keyframes = {
         counted: [
-            DescribedKeyframe(int(frame), int(submap), float(way), descriptor, mine[int(frame)])
+            DescribedKeyframe(int(frame), int(submap), float(way), descriptor, *mine[int(frame)])
             for frame, submap, way, descriptor in rows
         ]
         for counted, mine in counts.items()

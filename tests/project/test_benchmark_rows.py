@@ -6,8 +6,22 @@ from typing import Any
 
 import pytest
 import tyro
+import yaml
 
-from benchmarks import live, loops, pace, real_room, recordings, ring, semantics, sequences
+from benchmarks import (
+    live,
+    loops,
+    pace,
+    paper_definitions,
+    paper_runs,
+    paper_tables,
+    real_room,
+    recordings,
+    ring,
+    semantics,
+    sequences,
+)
+from toolkit.batch.plan import load_plan
 from toolkit.cli import live as live_program
 from toolkit.cli import run as run_program
 from toolkit.options import validated
@@ -27,6 +41,33 @@ COMMANDS = [
     *pace.ROWS.values(),
     *(row for table in semantics.PARTS.values() for row in table.rows.values()),
 ]
+
+
+@pytest.mark.parametrize("name", paper_definitions.GROUPS)
+def test_plans_of_the_papers_tables_are_valid(name: str, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("SEMSPLAT_DATA", str(tmp_path))
+    for recording in recordings.RECORDINGS.values():
+        (tmp_path / recording.folder).mkdir(parents=True, exist_ok=True)
+    monkeypatch.setattr(paper_runs, "room", lambda name, seed: tmp_path / f"{name}-{seed}")
+    group = paper_definitions.GROUPS[name]
+    for quick in (False, True):
+        path = tmp_path / "plan.yaml"
+        path.write_text(yaml.safe_dump(group.plan(quick)))
+        runs = load_plan(path).runs
+        sequences, seeds = (1, 1) if quick else (len(group.sequences), group.seeds)
+        assert len(runs) == sequences * seeds * len(group.settings)
+
+
+def test_rows_of_the_papers_tables_have_runs_and_columns() -> None:
+    for table in paper_definitions.TABLES:
+        if isinstance(table, paper_definitions.FunctionTable):
+            assert table.kind in paper_tables.MEASURES and set(table.paper) <= set(table.rows)
+            continue
+        assert set(table.columns) <= set(paper_definitions.COLUMNS)
+        for row in table.rows.values():
+            group = paper_definitions.GROUPS[row.group]
+            assert row.settings in group.settings
+            assert any(name.startswith(row.sequence or "") for name in group.sequences)
 
 
 def commands_with_every_option() -> list[list[str]]:
