@@ -261,14 +261,14 @@ class TestLoss:
         assert again.value == loss.value
 
     def test_weights_are_the_papers(self):
-        """H-22: depth + 0.5 colour, summed; G-2: colour + 0.5 depth, means."""
+        """H-22: depth + 0.5 colour; G-2: colour + 0.5 depth; both are sums."""
         images = torch.full((5, 4, 4), 1.0)
         rgb, depth = torch.full((3, 4, 4), 0.9), torch.full((4, 4), 1.2)
         colour, range_m = 0.1, 0.2
         hier = tracking_loss(images, rgb, depth, PRESETS["hier-slam"])
         assert hier.value == pytest.approx(16 * (range_m + 0.5 * 3 * colour), rel=1e-5)
         gausem = tracking_loss(images, rgb, depth, PRESETS["gausem"])
-        assert gausem.value == pytest.approx(colour + 0.5 * range_m, rel=1e-5)
+        assert gausem.value == pytest.approx(16 * (3 * colour + 0.5 * range_m), rel=1e-5)
 
     def test_a_sum_over_fewer_pixels_is_not_a_better_pose(self):
         images = self.images()
