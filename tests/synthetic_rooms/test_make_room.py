@@ -127,6 +127,10 @@ def test_path_of_a_file_raises(tmp_path):
         ({"seed": -1}, "must not be negative"),
         ({"texture": "none"}, "texture must be one of normal, weak"),
         ({"fov_deg": 5.0}, "fov_deg must lie in"),
+        ({"classes": 19}, r"classes must lie in \[20, 500\], got 19"),
+        ({"classes": 501}, r"classes must lie in \[20, 500\], got 501"),
+        ({"classes": 30, "layout": "ring"}, "classes requires the layout 'room'"),
+        ({"classes": 30, "sensor": SensorModel(reflections=True)}, "cannot be combined with real"),
     ],
 )
 def test_values_out_of_range_raise(values, message):

@@ -9,6 +9,8 @@ from tqdm import tqdm
 from toolkit.cli.programs import MakeRoomOptions
 from toolkit.frame import Frame
 from toolkit.synthetic_rooms import RoomSettings, SensorModel, make_room
+from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.taxonomy_building.rules import RuleGrouper
 
 
 def main(options: MakeRoomOptions) -> int:
@@ -32,8 +34,12 @@ def main(options: MakeRoomOptions) -> int:
         walker=options.real or options.walker,
         texture=options.texture,
         fov_deg=options.fov_deg,
+        classes=options.classes,
     )
     make_room(options.out, settings, with_progress)
+    if settings.collection is not None:
+        tree = build_taxonomy(settings.collection, RuleGrouper(), options=BuildOptions(name="room"))
+        tree.save(options.out / "taxonomy.yaml")
     print(f"Created a room in {options.out}.")
     return 0
 

@@ -239,6 +239,10 @@ class MakeRoomOptions:
     """Horizontal field of view of the camera, in degrees. By default, 64 degrees."""
     unseen: NonNegativeInt = 20
     """Number of ideal views off the path, in the folder unseen."""
+    classes: Annotated[int, Range(ge=20, le=500)] | None = None
+    """Number of classes of a room with shelves of small objects instead of furniture, from 20 to
+    500; also writes taxonomy.yaml, a tree of them. Requires the layout room and excludes --real.
+    By default, the room is furnished, with the 101 classes of Replica."""
 
 
 @dataclass(frozen=True)

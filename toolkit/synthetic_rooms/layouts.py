@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.synthetic_rooms.collection import shelves_of_objects
 from toolkit.synthetic_rooms.furnishing import furnish, path_reach_m
 from toolkit.synthetic_rooms.furniture import Workshop
 from toolkit.synthetic_rooms.parts import Part, moved
@@ -17,6 +18,7 @@ from toolkit.synthetic_rooms.paths import WayPoint
 from toolkit.synthetic_rooms.ray_casting import Scene
 from toolkit.synthetic_rooms.shell import WALL_HALF_M, Opening, RoomPlan, room_shell
 from toolkit.synthetic_rooms.textures import weakened
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, numbered
 
 _EYE_M = 1.45
 _WALL_M = 2 * WALL_HALF_M
@@ -231,14 +233,18 @@ def _look_around(plan: RoomPlan, start_rad: float, turn_rad: float) -> list[WayP
     return points
 
 
-def build_parts(layout: Layout, seed: int) -> list[Part]:
-    """Create all surfaces of a layout."""
+def build_parts(layout: Layout, seed: int, collection: Sequence[str] | None = None) -> list[Part]:
+    """Create all surfaces of a layout; see `build_scene`."""
     parts: list[Part] = []
     for plan, look in zip(layout.rooms, layout.room_seeds, strict=True):
         # Built at the origin, so that identical rooms are bit-identical before they are placed.
         shop = Workshop(np.random.default_rng([seed, 1, look]))
         at_origin = replace(plan, centre_m=(0.0, 0.0))
-        room = room_shell(at_origin, shop) + furnish(at_origin, shop)
+        room = room_shell(at_origin, shop)
+        if collection is None:
+            room += furnish(at_origin, shop)
+        else:
+            room += shelves_of_objects(at_origin, shop, collection)
         parts += moved(room, placement(*plan.centre_m))
     return parts
 
@@ -255,7 +261,13 @@ def lamp_places(layout: Layout) -> NDArray[np.float64]:
     return np.array(lamps)
 
 
-def build_scene(layout: Layout, seed: int, texel_m: float, texture: str = "normal") -> Scene:
+def build_scene(
+    layout: Layout,
+    seed: int,
+    texel_m: float,
+    texture: str = "normal",
+    collection: Sequence[str] | None = None,
+) -> Scene:
     """Build the textured and lit scene of a layout.
 
     Args:
@@ -263,12 +275,14 @@ def build_scene(layout: Layout, seed: int, texel_m: float, texture: str = "norma
         seed: of furniture and textures.
         texel_m: edge of a texel, metres.
         texture: a key of TEXTURES.
+        collection: class names of rooms with shelves of objects (`collection.class_names`); None
+            for furnished rooms with the classes of Replica.
     """
     contrast = TEXTURES[texture]
-    parts = build_parts(layout, seed)
+    parts = build_parts(layout, seed, collection)
     if contrast < 1.0:
         parts = [replace(part, texture=weakened(part.texture, contrast)) for part in parts]
-    return Scene(parts, lamp_places(layout), texel_m)
+    return Scene(parts, lamp_places(layout), texel_m, numbered(collection or CLASS_NAMES))
 
 
 # The fraction of each texture's contrast that is kept.

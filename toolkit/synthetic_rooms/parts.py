@@ -16,7 +16,7 @@ class Part:
     """Surfaces that share a class and a texture.
 
     Attributes:
-        class_name: a class name of Replica.
+        class_name: a class name of the room's vocabulary, by default Replica's.
         patches: surfaces, metres.
         texture: paints the chart of each patch.
         rng: random stream of the texture; parts with equal streams look the same.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,9 +49,16 @@ class Scene:
         parts: all surfaces in the world, metres, z up.
         lamps_m: [L, 3] ceiling lamps, metres.
         texel_m: edge of a texture element, metres.
+        class_ids: class ids by name.
     """
 
-    def __init__(self, parts: list[Part], lamps_m: NDArray[np.float64], texel_m: float) -> None:
+    def __init__(
+        self,
+        parts: list[Part],
+        lamps_m: NDArray[np.float64],
+        texel_m: float,
+        class_ids: Mapping[str, int] = CLASS_IDS,
+    ) -> None:
         patches = [patch for part in parts for patch in part.patches]
         owners = [part for part in parts for _ in part.patches]
         counts = [patch.points.shape[0] * patch.points.shape[1] for patch in patches]
@@ -61,7 +69,7 @@ class Scene:
             [corners + start for corners, start in zip(triangles, starts, strict=True)]
         )
         self.triangle_labels = np.repeat(
-            np.array([CLASS_IDS[part.class_name] for part in owners], dtype=np.int32),
+            np.array([class_ids[part.class_name] for part in owners], dtype=np.int32),
             [len(corners) for corners in triangles],
         )
         self.casting: Any = open3d().t.geometry.RaycastingScene()

@@ -16,12 +16,13 @@ from toolkit.errors import SettingsError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.synthetic_rooms import writer
+from toolkit.synthetic_rooms import collection, writer
 from toolkit.synthetic_rooms.layouts import LAYOUTS, TEXTURES, Layout, build_scene
 from toolkit.synthetic_rooms.paths import hand_held_path
 from toolkit.synthetic_rooms.ray_casting import RayCastView, Scene
 from toolkit.synthetic_rooms.sensor import Sensor, SensorModel
 from toolkit.synthetic_rooms.unseen import poses_off_the_path
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, numbered
 from toolkit.synthetic_rooms.walker import Walker
 
 RATE_HZ = 30.0
@@ -54,6 +55,9 @@ class RoomSettings:
         texture: "normal", or "weak": all surfaces are nearly uniform.
         fov_deg: horizontal field of view in degrees, from 10 to 120; None for that of common
             RGB-D cameras, 64.
+        classes: number of classes of a room whose walls are covered with shelves of small objects,
+            from 20 to 500; only with the layout "room" and without reflections. None for a
+            furnished room with the classes of Replica.
     """
 
     layout: str = "room"
@@ -67,6 +71,7 @@ class RoomSettings:
     walker: bool = False
     texture: str = "normal"
     fov_deg: float | None = None
+    classes: int | None = None
 
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
@@ -87,6 +92,17 @@ class RoomSettings:
             )
         if self.fov_deg is not None and not 10.0 <= self.fov_deg <= 120.0:
             raise SettingsError(f"fov_deg must lie in [10, 120], got {self.fov_deg}")
+        if self.classes is not None:
+            self._check_classes(self.classes)
+
+    def _check_classes(self, classes: int) -> None:
+        low, high = collection.MIN_CLASSES, collection.MAX_CLASSES
+        if not low <= classes <= high:
+            raise SettingsError(f"classes must lie in [{low}, {high}], got {classes}")
+        if self.layout != "room":
+            raise SettingsError(f"classes requires the layout 'room', got {self.layout!r}")
+        if self.sensor is not None and self.sensor.reflections:
+            raise SettingsError("classes cannot be combined with real: no object is shiny")
 
     @property
     def camera(self) -> Camera:
@@ -96,6 +112,11 @@ class RoomSettings:
             focal = 0.5 * self.width / math.tan(0.5 * math.radians(self.fov_deg))
         centre = (self.width - 1) / 2, (self.height - 1) / 2
         return Camera(focal, focal, *centre, self.width, self.height)
+
+    @property
+    def collection(self) -> tuple[str, ...] | None:
+        """Class names of a room with shelves of objects; None for a furnished room."""
+        return None if self.classes is None else collection.class_names(self.classes)
 
     def stream(self, purpose: int) -> np.random.Generator:
         """Return the random generator of one purpose, independent of the others."""
@@ -123,7 +144,9 @@ def make_room(
     camera = settings.camera  # raises before a folder is made if the images are too large
     writer.prepare_folder(path)
     layout = LAYOUTS[settings.layout]()
-    scene = build_scene(layout, settings.seed, _texel_m(settings), settings.texture)
+    names = settings.collection
+    scene = build_scene(layout, settings.seed, _texel_m(settings), settings.texture, names)
+    class_ids = numbered(names or CLASS_NAMES)
     poses = _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
     views = _views(scene, settings, poses)
@@ -132,9 +155,10 @@ def make_room(
     frames: Iterable[Frame] = _frames(views, camera)
     if progress is not None:
         frames = progress(frames, len(poses))
-    writer.write_sequence(path, frames, camera, poses)
+    writer.write_sequence(path, frames, camera, poses, class_ids)
     ideal = poses_off_the_path(scene, camera, poses, settings.unseen, settings.stream(_UNSEEN))
-    writer.write_sequence(path / "unseen", _ideal_frames(scene, camera, ideal), camera, ideal)
+    unseen = _ideal_frames(scene, camera, ideal)
+    writer.write_sequence(path / "unseen", unseen, camera, ideal, class_ids)
     writer.write_mesh(path / "mesh.ply", scene)
     writer.write_json(path / writer.MARKER, asdict(settings))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 # In the order of Replica's ids, which start at 1; 0 is void.
 _NAMES = """
 backpack base-cabinet basket bathtub beam beanbag bed bench bike bin blanket blinds book
@@ -17,4 +19,10 @@ wall-plug wardrobe window rug logo bag set-of-clothing
 """
 CLASS_NAMES: tuple[str, ...] = tuple(_NAMES.split())
 
-CLASS_IDS: dict[str, int] = {name: number for number, name in enumerate(CLASS_NAMES, start=1)}
+
+def numbered(names: Sequence[str]) -> dict[str, int]:
+    """Return class ids by name, from 1."""
+    return {name: number for number, name in enumerate(names, start=1)}
+
+
+CLASS_IDS: dict[str, int] = numbered(CLASS_NAMES)

@@ -6,7 +6,7 @@ Colour images are PNG files, because JPEG artefacts would limit the PSNR to abou
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import cv2
@@ -68,9 +68,17 @@ def with_walker_masks(path: Path, views: Iterable[RayCastView]) -> Iterator[RayC
 
 
 def write_sequence(
-    path: Path, frames: Iterable[Frame], camera: Camera, T_world_camera: NDArray
+    path: Path,
+    frames: Iterable[Frame],
+    camera: Camera,
+    T_world_camera: NDArray,
+    class_ids: Mapping[str, int] = CLASS_IDS,
 ) -> None:
-    """Write images, poses [N, 4, 4], intrinsics and class names into a prepared folder."""
+    """Write images, poses [N, 4, 4], intrinsics and class names into a prepared folder.
+
+    Label images have 8 bits, and 16 with more than 255 classes.
+    """
+    label_type = np.uint8 if max(class_ids.values()) <= 255 else np.uint16
     for frame in frames:
         stem = f"{frame.index:06d}.png"
         bgr = np.round(frame.rgb[..., ::-1] * 255.0).astype(np.uint8)
@@ -78,12 +86,12 @@ def write_sequence(
         _write_png(path / "results" / f"frame{stem}", bgr)
         _write_png(path / "results" / f"depth{stem}", depth)
         if frame.labels is not None:
-            _write_png(path / "labels" / f"label{stem}", frame.labels.astype(np.uint8))
+            _write_png(path / "labels" / f"label{stem}", frame.labels.astype(label_type))
     rows = np.asarray(T_world_camera).reshape(-1, 16)
     lines = [" ".join(f"{value:.9f}" for value in row) for row in rows]
     _write_text(path / "traj.txt", "\n".join(lines) + "\n")
     write_json(path / "cam_params.json", {"camera": _intrinsics(camera)})
-    classes = {str(number): name for name, number in CLASS_IDS.items()}
+    classes = {str(number): name for name, number in class_ids.items()}
     write_json(path / "labels" / "classes.json", {"void": 0, "classes": classes})
 
 
