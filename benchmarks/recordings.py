@@ -37,6 +37,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "still": ("--layout", "still", "--frames", "200", "--sensor-noise"),
     # A fast walk: up to 10 cm and 9 degrees per frame.
     "hall-fast": ("--layout", "hall", "--frames", "1500", *_TINY),
+    # Shelves of small objects of 300 classes.
+    "collection": ("--classes", "300", "--frames", "100", "--image-size", "160", "120"),
     "hall": ("--layout", "hall", "--frames", "2400", *_SMALL),
 }
 

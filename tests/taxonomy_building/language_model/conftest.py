@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import ssl
-import threading
 from collections.abc import Callable, Iterator
 
-import fake_endpoint
 import numpy as np
 import pytest
+from fake_endpoint import KEY, honest
 
+from benchmarks.chat_server import ChatServer
 from toolkit.taxonomy_building.language_model.chat import ModelIdentity
 from toolkit.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
 
@@ -19,16 +19,12 @@ _TLS = ssl.create_default_context()
 
 
 @pytest.fixture
-def fake(monkeypatch) -> Iterator[fake_endpoint.FakeEndpoint]:
+def fake(monkeypatch) -> Iterator[ChatServer]:
     """An endpoint that serves while the test runs."""
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     monkeypatch.setattr(ssl, "create_default_context", lambda *_, **__: _TLS)
-    server = fake_endpoint.FakeEndpoint()
-    thread = threading.Thread(target=server.serve)
-    thread.start()
-    yield server
-    server.close()
-    thread.join()
+    with ChatServer(honest).serving() as server:
+        yield server
 
 
 @pytest.fixture
@@ -40,7 +36,6 @@ def connect(fake) -> Callable[..., tuple[Endpoint, list[float]]]:
         waits: list[float] = []
         identity = ModelIdentity(fake.url, "fake-1")
         limits = RetryOptions(**{"request_timeout_s": 5.0, **retries})
-        key = fake_endpoint.KEY
-        return Endpoint(identity, key, np.random.default_rng(0), limits, waits.append), waits
+        return Endpoint(identity, KEY, np.random.default_rng(0), limits, waits.append), waits
 
     return connected

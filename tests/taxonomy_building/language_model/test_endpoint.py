@@ -11,8 +11,9 @@ import time
 
 import numpy as np
 import pytest
-from fake_endpoint import KEY, Response, fails, honest, knows_no, says
+from fake_endpoint import KEY, honest, knows_no, says
 
+from benchmarks.chat_server import Response, fails
 from toolkit.errors import DependencyError, SettingsError, ToolkitError
 from toolkit.taxonomy_building.grouper import Question
 from toolkit.taxonomy_building.language_model.chat import ChatAnswer, ModelIdentity

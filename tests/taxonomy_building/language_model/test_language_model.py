@@ -6,18 +6,9 @@ import json
 import random
 
 import pytest
-from fake_endpoint import (
-    Groups,
-    Response,
-    as_text,
-    changed,
-    fails,
-    honest,
-    items_of,
-    right_groups,
-    says,
-)
+from fake_endpoint import changed, honest, right_groups, says
 
+from benchmarks.chat_server import Groups, Response, as_text, fails, items_of
 from toolkit.errors import ToolkitError
 from toolkit.taxonomy_building.critic import settle
 from toolkit.taxonomy_building.grouper import Grouping, InvalidAnswerError, Question

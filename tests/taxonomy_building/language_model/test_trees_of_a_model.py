@@ -6,9 +6,10 @@ import zlib
 from pathlib import Path
 
 import pytest
-from fake_endpoint import Behaviour, Response, fails, honest
+from fake_endpoint import honest
 from test_language_model import CLASSES, INJECTIONS, LIES
 
+from benchmarks.chat_server import Behaviour, Response, fails
 from toolkit.errors import SettingsError
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
