@@ -25,7 +25,7 @@ from benchmarks.scripted_model import (
     scripted_endpoint,
 )
 from benchmarks.tables import Table, median_cell
-from benchmarks.taxonomies import channels, class_lists
+from benchmarks.taxonomies import channels, check_classes, class_lists
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.taxonomy_building.builder import build_taxonomy
 from toolkit.taxonomy_building.grouper import Grouping, Question
@@ -130,17 +130,6 @@ def session(classes: Sequence[str], rates: Mapping[Kind, float], seed: int) -> S
     return made
 
 
-def check(classes: Sequence[str], tree: Taxonomy) -> None:
-    """Check that every class appears exactly once.
-
-    Raises:
-        SystemExit: it does not.
-    """
-    leaves = [node.name for node in tree.nodes if node.leaf]
-    if sorted(leaves) != sorted(classes):
-        raise SystemExit("not every class appears exactly once")
-
-
 def row(name: str, sessions: Sequence[Session], right: Taxonomy) -> tuple[str, ...]:
     """One row of the table: the medians over finished sessions."""
     finished = [s for s in sessions if s.tree is not None]
@@ -199,7 +188,7 @@ def main() -> None:
             sessions = [session(classes, rates_of(kind, rate), s) for s in range(options.seeds)]
             for each in sessions:
                 if each.tree is not None:
-                    check(classes, each.tree)
+                    check_classes(classes, each.tree)
             rows.append(row(f"{kind}, {rate:.0%}", sessions, without.tree))
             print(*rows[-1], sep=" | ", flush=True)
     columns = (

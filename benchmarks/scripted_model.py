@@ -29,7 +29,7 @@ from benchmarks.chat_server import (
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.taxonomy_building.builder import build_taxonomy
 from toolkit.taxonomy_building.grouper import Aspect, Question
-from toolkit.taxonomy_building.language_model.chat import ModelIdentity
+from toolkit.taxonomy_building.language_model.chat import ChatAnswer, ChatRequest, ModelIdentity
 from toolkit.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
 from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
 from toolkit.taxonomy_building.rules import RuleGrouper
@@ -200,7 +200,25 @@ def scripted_endpoint(model: ScriptedModel) -> Iterator[tuple[Endpoint, ChatServ
 
 
 def scripted_tree(classes: Sequence[str], rate: float = 0.1, seed: int = 0) -> Taxonomy:
-    """Build a tree by a scripted model that makes every error of items and answers at a rate."""
-    model = ScriptedModel(dict.fromkeys((*ITEM_ERRORS, *ANSWER_ERRORS), rate), seed)
-    with scripted_endpoint(model) as (endpoint, _):
-        return build_taxonomy(classes, LanguageModelGrouper(endpoint, seed))
+    """Build a tree by a scripted model that makes every error of items and answers at a rate.
+
+    The model is called in this process, since its answers all arrive.
+    """
+    return build_taxonomy(classes, LanguageModelGrouper(ScriptedChat(rate, seed)))
+
+
+class ScriptedChat:
+    """A scripted model without a server, with every error of items and answers at a rate."""
+
+    identity = ModelIdentity("http://127.0.0.1/v1", "scripted")
+
+    def __init__(self, rate: float = 0.1, seed: int = 0) -> None:
+        self._model = ScriptedModel(dict.fromkeys((*ITEM_ERRORS, *ANSWER_ERRORS), rate), seed)
+
+    def complete(self, request: ChatRequest) -> ChatAnswer:
+        """Return the answer of the model."""
+        messages = [{"content": request.system}, {"content": request.user}]
+        response = self._model({"messages": messages})
+        if response.refusal:
+            return ChatAnswer("", "refused")
+        return ChatAnswer(response.text or "", "length" if response.finish == "length" else "stop")

@@ -26,7 +26,9 @@ def test_the_benchmark_measures_every_list_and_its_checks(run_python, tmp_path):
     assert result.returncode == 0, result.stderr
     results = read_results(tmp_path / "taxonomies.md")
     kinds = {(name, tree) for name, _, tree, *_ in results.table().rows}
-    assert {("replica", "rules"), ("objects_550", "random"), ("nyu40", "alphabetical")} <= kinds
+    trees = ("rules", "scripted model", "random", "alphabetical", "none (flat)")
+    assert kinds == {(name, tree) for name, _ in kinds for tree in trees}
+    assert {"replica", "nyu40", "objects_550", "objects_1000"} <= {name for name, _ in kinds}
     assert results.header.command == f"python -m benchmarks.taxonomies --out {tmp_path.name}"
     assert results.markdown() in result.stdout
 

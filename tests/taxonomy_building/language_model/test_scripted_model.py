@@ -13,6 +13,7 @@ from benchmarks.scripted_model import (
     KINDS,
     TRANSPORT_ERRORS,
     ScriptedModel,
+    scripted_tree,
 )
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
@@ -67,8 +68,8 @@ def test_whatever_the_error_the_tree_has_every_class_once(tree, fake, kind):
 @pytest.mark.parametrize("kind", TRANSPORT_ERRORS)
 def test_requests_without_an_answer_are_repeated(tree, fake, kind, monkeypatch):
     monkeypatch.setattr("benchmarks.scripted_model.TIMEOUT_S", 0.1)
-    scripted = ScriptedModel({kind: 0.3})
-    assert groups(tree(scripted)) == RULES
+    scripted = ScriptedModel({kind: 0.4}, seed=1)
+    assert groups(tree(scripted, max_attempts=20)) == RULES
     assert scripted.errors[kind] > 0
     assert len(fake.requests) == scripted.errors[kind] + len({str(r) for r in fake.requests})
 
@@ -86,6 +87,11 @@ def test_all_errors_together_and_replayed(tree, fake, connect, tmp_path, caplog)
     for name, taxonomy in (("made", made), ("replayed", replayed)):
         taxonomy.save(tmp_path / f"{name}.yaml")
     assert (tmp_path / "made.yaml").read_bytes() == (tmp_path / "replayed.yaml").read_bytes()
+
+
+def test_the_model_in_this_process_gives_the_same_tree(tree):
+    errors = dict.fromkeys((*ITEM_ERRORS, *ANSWER_ERRORS), 0.1)
+    assert scripted_tree(CLASSES) == tree(ScriptedModel(errors))
 
 
 def test_clusters_of_measured_shape_are_named(tree):
