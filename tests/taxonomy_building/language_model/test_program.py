@@ -128,3 +128,9 @@ def test_a_replay_of_other_classes_is_an_error(tmp_path, monkeypatch, fake, caps
     capsys.readouterr()
     assert main([*words, "--replay", "record.json"]) == 2
     assert "record.json has no answer" in capsys.readouterr().err
+    record = Path("record.json").read_bytes()
+    for damaged in (record[: len(record) // 2], b'{"messages": []}', b"\x1f\x8b" + record):
+        Path("record.json").write_bytes(damaged)
+        assert main([*words, "--replay", "record.json"]) == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert "record.json is not a recording of a language model" in line
