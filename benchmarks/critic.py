@@ -5,9 +5,10 @@ python -m benchmarks.critic [--seeds 3]
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -109,23 +110,29 @@ class _RepairsHandler(logging.Handler):
         self._session.repairs += [each for each in record.args if isinstance(each, Repairs)]
 
 
-def session(classes: Sequence[str], rates: Mapping[Kind, float], seed: int) -> Session:
-    """Build a tree by the scripted model."""
-    made, scripted = Session(), ScriptedModel(rates, seed)
-    handler = _RepairsHandler(made)
+@contextlib.contextmanager
+def _repairs_into(session: Session) -> Iterator[None]:
+    """Collect the repairs that are logged within this context, and do not print them."""
+    handler, level = _RepairsHandler(session), repairs_logger.level
     repairs_logger.setLevel(logging.INFO)
     repairs_logger.propagate = False
     repairs_logger.addHandler(handler)
     try:
-        with scripted_endpoint(scripted) as (endpoint, server):
-            grouper = _CountingGrouper(LanguageModelGrouper(endpoint), made)
-            try:
-                made.tree = build_taxonomy(classes, grouper)
-            except NoModelError:
-                made.tree = None
-            made.requests = len(server.requests)
+        yield
     finally:
         repairs_logger.removeHandler(handler)
+        repairs_logger.propagate = True
+        repairs_logger.setLevel(level)
+
+
+def session(classes: Sequence[str], rates: Mapping[Kind, float], seed: int) -> Session:
+    """Build a tree by the scripted model."""
+    made, scripted = Session(), ScriptedModel(rates, seed)
+    with _repairs_into(made), scripted_endpoint(scripted) as (endpoint, server):
+        grouper = _CountingGrouper(LanguageModelGrouper(endpoint), made)
+        with contextlib.suppress(NoModelError):
+            made.tree = build_taxonomy(classes, grouper)
+        made.requests = len(server.requests)
     made.errors = sum(scripted.errors.values())
     return made
 

@@ -143,7 +143,7 @@ def _undelivered(kind: TransportError, request: dict[str, Any]) -> Response:
 def _question(request: dict[str, Any], clusters: list[list[str]] | None = None) -> Question:
     """Read the question from the text of a request, as a model does."""
     system, user = (message["content"] for message in request["messages"])
-    aspect = next((a for words, a in _ASPECTS.items() if words in user), "geometry")
+    aspects = [aspect for words, aspect in _ASPECTS.items() if words in user]
     found = re.search(r"at most (\d+)", system)
     if clusters:
         items = tuple(item for cluster in clusters for item in cluster)
@@ -151,7 +151,7 @@ def _question(request: dict[str, Any], clusters: list[list[str]] | None = None) 
     given = re.search(r"no other names for groups than (\[.*\])\.", user)
     names = tuple(json.loads(given[1])) if given else ()
     most = int(found[1]) if found else len(names)
-    return Question(tuple(items_of(request)), aspect, groups=names, max_groups=most)
+    return Question(tuple(items_of(request)), aspects[0], groups=names, max_groups=most)
 
 
 def _right_groups(request: dict[str, Any]) -> Groups:
