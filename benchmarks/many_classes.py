@@ -30,7 +30,8 @@ covered with shelves of small objects (`semsplat make-room --classes 300 --frame
 160 120`): 300 classes, of which the labels show nearly all. Trees: by the built-in rules; by a
 scripted language model of which a tenth of the answers and items are wrong
 (`benchmarks/scripted_model.py`); and the rules' tree with randomly assigned classes. Flat has one
-channel per class; colour three for all. Own level 0 is the coarsest level of the row's tree.
+channel per class; flat, binary is the number of the class in bits, a tree of one level; colour has
+three channels for all. Own level 0 is the coarsest level of the row's tree.
 
 Subset mIoU decodes each view among the classes of its own ground truth, as H-VII does. Below, all
 rows are asked the same questions on the held-out views: the class of each pixel decides, and a
@@ -55,6 +56,7 @@ COLUMNS = (
 ROWS: dict[str, list[str]] = {
     "no semantics": ["rules", "none"],
     "flat": ["rules", "flat"],
+    "flat, binary": ["flat", "binary"],
     "rules, one-hot": ["rules", "one-hot"],
     "rules, binary": ["rules", "binary"],
     "scripted model, one-hot": ["scripted", "one-hot"],
@@ -92,6 +94,7 @@ def trees() -> dict[str, Taxonomy]:
         "rules": rules,
         "scripted": scripted_tree(rules.classes),
         "random": random_taxonomy(rules),
+        "flat": Taxonomy.flat(rules.classes),
     }
 
 
