@@ -5,7 +5,6 @@ python -m benchmarks.many_classes
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_run
 from benchmarks.scripted_model import scripted_tree
 from benchmarks.tables import Metrics, Rows, Table, Target, median_of, table_of, target_table
+from benchmarks.taxonomies import channels
 from benchmarks.trees import tree_metrics
 from toolkit.runs.finished import load_run
 from toolkit.semantics.taxonomy import Taxonomy
@@ -75,16 +75,11 @@ class Options(ReportOptions):
     """Seeds 0, 1, ... of the run; a row is their median."""
 
 
-def channels(tree: Taxonomy, code: str) -> int:
+def code_channels(tree: Taxonomy, code: str) -> int:
     """Number of semantic channels of a code."""
-    widths = tree.level_widths
-    return {
-        "none": 0,
-        "flat": len(tree),
-        "one-hot": sum(widths),
-        "binary": sum(math.ceil(math.log2(width)) for width in widths),
-        "colour": 3,
-    }[code]
+    one_hot, binary = channels(tree)
+    known = {"none": 0, "flat": len(tree), "one-hot": one_hot, "binary": binary, "colour": 3}
+    return known[code]
 
 
 def trees() -> dict[str, Taxonomy]:
@@ -106,7 +101,7 @@ def measure(tree: Taxonomy, ours: Taxonomy, code: str, seed: int) -> Metrics:
         words = ["--poses", "given", "--hold-out", "5", "--evaluation.subset"]
         words += ["--semantics.code.kind", code, "--semantics.taxonomy", str(file)]
         with finished_run([*sequence_arguments(ROOM), *words], seed) as (metrics, run):
-            metrics["channels"] = channels(tree, code)
+            metrics["channels"] = code_channels(tree, code)
             metrics["widths"] = " + ".join(map(str, tree.level_widths))
             if code != "none":
                 _, _, *levels, kin = tree_metrics(load_run(run.path), ours)
