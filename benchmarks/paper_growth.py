@@ -15,9 +15,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import backend
 
-GAUSSIANS = (25_000, 50_000, 100_000, 200_000, 400_000)
-WIDTHS = (80, 160, 320, 640)
-CHANNELS = (0, 8, 16, 32, 64, 128)
+GAUSSIANS: tuple[int, ...] = (25_000, 50_000, 100_000, 200_000, 400_000)
+WIDTHS: tuple[int, ...] = (80, 160, 320, 640)
+CHANNELS: tuple[int, ...] = (0, 8, 16, 32, 64, 128)
 _REPEATS = 5
 
 
