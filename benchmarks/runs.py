@@ -24,6 +24,7 @@ from toolkit.frame import Frame
 from toolkit.loops.log import read_loop_log
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.modes import RunInput
 from toolkit.runs.results import RunRecord, write_results
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam.result import SlamResult
@@ -73,22 +74,27 @@ class FinishedSlam:
 
 @contextmanager
 def finished_slam(
-    settings: RunSettings, dataset: Dataset, prepare: Callable[[Slam], None] | None = None
+    settings: RunSettings,
+    dataset: Dataset,
+    prepare: Callable[[Slam], None] | None = None,
+    source: RunInput | None = None,
 ) -> Iterator[FinishedSlam]:
     """Process a dataset and write the results into a folder that exists within this context.
 
     Args:
         prepare: called with the system before the first frame.
+        source: what is processed, without depth; by default the dataset.
     """
+    source = source or RunInput(dataset)
     watch = StageRecorder()
     costs = FrameCostRecorder(watch)
     with tempfile.TemporaryDirectory() as temporary:
         folder = RunFolder.create(Path(temporary) / "run", dump_settings(settings))
-        slam = build_slam(dataset, settings, folder, watch)
+        slam = build_slam(source.frames, settings, folder, watch, source.correction)
         if prepare is not None:
             prepare(slam)
         for index in tqdm(range(len(dataset)), disable=not os.isatty(2), file=sys.stderr):
-            frame = dataset[index]
+            frame = source.frames[index]
             with watch.timed(Stage.ONLINE), costs.frame(index):
                 slam.process_frame(frame)
         with watch.timed(Stage.FINISH):

@@ -12,6 +12,11 @@ from test_finished_run_programs import one_line_of_error
 from test_monocular_runs import arguments, write_film
 
 from toolkit.cli.main import main
+from toolkit.frame import Frame
+from toolkit.slam.result import FrameResult
+from toolkit.slam.system import Slam
+
+PRIORS = ["--depth-prior.kind", "maps"]
 
 
 def write_priors(folder: Path, poses: np.ndarray) -> Path:
@@ -29,10 +34,13 @@ def recording(tmp_path_factory) -> Path:
     return write_film(root / "walk", walk(12))
 
 
+def maps(recording: Path) -> list[str]:
+    folder = str(recording.parent / "priors")
+    return [*PRIORS, "--depth-prior.maps.values", "affine", "--depth-prior.maps.folder", folder]
+
+
 def run(recording: Path, out: Path, *more: str) -> dict:
-    words = ["--depth", "none", "--depth-prior.kind", "maps", "--depth-prior.maps.values", "affine"]
-    words += ["--depth-prior.maps.folder", str(recording.parent / "priors")]
-    assert main(arguments(recording, out, *words, *more)) == 0
+    assert main(arguments(recording, out, "--depth", "none", *maps(recording), *more)) == 0
     return json.loads((out / "metrics.json").read_text())
 
 
@@ -68,4 +76,68 @@ def test_a_missing_folder_is_reported_before_the_motion_is_estimated(tmp_path, c
     words = ["--depth", "none", "--depth-prior.kind", "maps"]
     assert main(arguments(recording, tmp_path / "run", *words)) == 2
     assert "--depth-prior.maps.folder" in one_line_of_error(capsys)
+    assert not (tmp_path / "run").exists()
+
+
+TRACKED = [
+    *("--preset", "hier-slam-mono", "--depth-prior.maps.scope", "sequence"),
+    *("--depth-prior.correction.share", "scope"),
+    *("--tracking.first-order.iterations", "12", "--semantics.code.kind", "none"),
+]
+
+
+def tracked(recording: Path, out: Path, *more: str) -> dict:
+    assert main(arguments(recording, out, *TRACKED, *maps(recording), *more)) == 0
+    return json.loads((out / "metrics.json").read_text())
+
+
+def test_the_papers_monocular_system_runs_without_odometry(recording, tmp_path):
+    metrics = tracked(recording, tmp_path / "run")
+    assert "monocular" not in metrics  # no motion was estimated in advance
+    assert metrics["trajectory"]["alignment"] == "sim3"
+    assert metrics["trajectory"]["ate_rmse_cm"] < 8.0  # of 52 cm
+    assert metrics["depth_prior"]["inferred_percent"] == 100.0
+    assert metrics["frames"]["lost"] == 0
+    # The scale of the prior is unknown.
+    assert json.loads((tmp_path / "run" / "frames.json").read_text())["metric"] is False
+    assert main(["evaluate", str(tmp_path / "run")]) == 0
+
+
+def test_tracking_on_priors_continues_after_an_interruption(recording, tmp_path, monkeypatch):
+    whole, part = tmp_path / "whole", tmp_path / "part"
+    often = ["--checkpoint.every-keyframes", "3"]
+    tracked(recording, whole, *often)
+    with monkeypatch.context() as patch:
+        process = Slam.process_frame
+
+        def killed(slam: Slam, frame: Frame, may_map: bool = True) -> FrameResult:
+            if frame.index == 7:
+                raise KeyboardInterrupt
+            return process(slam, frame, may_map)
+
+        patch.setattr(Slam, "process_frame", killed)
+        assert main(arguments(recording, part, *TRACKED, *maps(recording), *often)) == 130
+    tracked(recording, part, *often, "--resume")
+    for name in ("trajectory.txt", "map.ply"):
+        assert (part / name).read_bytes() == (whole / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--depth-prior.use", "track"], "set --depth-prior.kind"),
+        (["--tracking.kind", "first-order"], "--depth-prior.use track"),
+        ([*PRIORS, "--depth-prior.use", "track", "--poses", "given"], "nothing to track"),
+        ([*PRIORS, "--depth-prior.use", "track", "--pace", "30"], "--pace"),
+        (
+            [*PRIORS, "--depth-prior.use", "track", "--scale.camera-height-m", "1.5"],
+            "needs visual odometry",
+        ),
+    ],
+    ids=["no prior", "no depth", "given poses", "real time", "metric scale"],
+)
+def test_what_tracking_on_priors_excludes_is_refused(recording, tmp_path, capsys, words, message):
+    capsys.readouterr()
+    assert main(arguments(recording, tmp_path / "run", "--depth", "none", *words)) == 2
+    assert message in one_line_of_error(capsys)
     assert not (tmp_path / "run").exists()

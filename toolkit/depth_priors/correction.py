@@ -34,6 +34,8 @@ _GROUPS = 16
 _MIN_BEND = 0.03
 # Depths that differ by at most this number of standard deviations belong to the same surface.
 _SAME_SURFACE = 3.0
+# Median depths of rooms, and a typical one.
+_ROOMS, _TYPICAL = (0.5, 8.0), 2.0
 _FIELDS = ("values", "reference", "weights", "positions")
 
 
@@ -60,7 +62,7 @@ class DepthCorrection:
 
     Scale and shift of a group of frames are estimated from all of its frames so far. The first
     group fixes the unit of length: its prior is aligned with the depth that the first frame has,
-    or stays as it is.
+    or stays as it is, except that a prior of unknown scale is given the size of a room.
 
     Args:
         prior: returns the prior of a frame index.
@@ -70,6 +72,7 @@ class DepthCorrection:
 
     Attributes:
         found: last correction of each group.
+        metric: whether the unit of length is the metre, by a metric prior of the first frame.
     """
 
     def __init__(
@@ -82,6 +85,7 @@ class DepthCorrection:
         self._samples: OrderedDict[int, Samples] = OrderedDict()
         self._first: int | None = None
         self.found: dict[int, ScaleShift] = {}
+        self.metric = False
 
     def start(self, frame: Frame) -> Frame:
         """The frame that starts the map, with the depth of its prior.
@@ -94,25 +98,32 @@ class DepthCorrection:
             return frame
         group = self._group(frame, prior)
         samples = samples_of(prior.image, frame.depth_m)
-        whole: ScaleShift | None = ScaleShift(1.0)
-        if has_depth:
-            whole = self._fit(samples, prior.image.kind)
+        whole = self._fit(samples, prior.image.kind) if has_depth else _of_room_size(prior.image)
         if whole is None:
             return frame
+        self.metric = prior.image.kind is DepthKind.METRIC and not has_depth
         self._first, self.found[group] = group, whole
         correction = self._local(samples, whole, prior.image) if has_depth else whole
         return self._corrected(frame, prior.image, correction)
 
-    def correct(self, frame: Frame, rendered: RenderedDepth) -> Frame:
-        """A frame with the depth of its prior, aligned with the map where the map is opaque."""
+    def correct(self, frame: Frame, rendered: RenderedDepth, final: bool = True) -> Frame:
+        """A frame with the depth of its prior, aligned with the map where the map is opaque.
+
+        Args:
+            final: False at a predicted pose, before the frame is tracked. Later frames of the
+                group do not learn from it, and only scale and shift of the whole image are
+                aligned: what follows the map more closely would hold the frame at that pose.
+        """
         prior = self._filtered(frame.index)
         group = self._group(frame, prior)
         visible = rendered.silhouette > self._options.min_silhouette
         reference = np.where(visible, rendered.depth_m, np.float32(0.0))
         own = samples_of(prior.image, reference)
-        whole = self._whole(group, own, prior.image.kind)
+        whole = self._whole(group, own, prior.image.kind, final)
         if whole is None:
             return frame
+        if not final:
+            return self._corrected(frame, prior.image, whole)
         found = self._corrected(frame, prior.image, self._local(own, whole, prior.image))
         if not self._options.filter:
             return found
@@ -127,19 +138,21 @@ class DepthCorrection:
     def _group(self, frame: Frame, prior: FramePrior) -> int:
         return frame.index if self._options.share == "frame" else prior.group
 
-    def _whole(self, group: int, own: Samples, kind: DepthKind) -> ScaleShift | None:
+    def _whole(self, group: int, own: Samples, kind: DepthKind, final: bool) -> ScaleShift | None:
         """Correction of a group with a new image; that of the last group if there is none."""
-        if group == self._first:
+        if group == self._first or (not final and group in self.found):
             return self.found[group]
         kept = [self._samples[group]] if group in self._samples else []
         samples = Samples.joined([*kept, own.thinned(_KEPT)])
-        self._samples[group] = samples
-        self._samples.move_to_end(group)
-        while len(self._samples) > _GROUPS:
-            self._samples.popitem(last=False)
         whole = self._fit(samples, kind)
+        if final:
+            self._samples[group] = samples
+            self._samples.move_to_end(group)
+            while len(self._samples) > _GROUPS:
+                self._samples.popitem(last=False)
         if whole is not None:
-            self.found[group] = whole
+            if final:
+                self.found[group] = whole
         elif self.found:
             whole = self.found.get(group, self.found[next(reversed(self.found))])
         return whole
@@ -166,7 +179,12 @@ class DepthCorrection:
             for name in _FIELDS
         }
         found = {str(group): list(vars(f).values()) for group, f in self.found.items()}
-        return arrays, {"groups": list(self._samples), "first": self._first, "found": found}
+        return arrays, {
+            "groups": list(self._samples),
+            "first": self._first,
+            "found": found,
+            "metric": self.metric,
+        }
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
@@ -174,8 +192,24 @@ class DepthCorrection:
             (group, Samples(*(np.array(arrays[f"{group}/{name}"]) for name in _FIELDS)))
             for group in values["groups"]
         )
-        self._first = values["first"]
+        self._first, self.metric = values["first"], values["metric"]
         self.found = {int(group): ScaleShift(*f) for group, f in values["found"].items()}
+
+
+def _of_room_size(prior: PriorImage) -> ScaleShift:
+    """The correction of a prior that fixes the unit of length.
+
+    A system works in metres, at the size of rooms. Where the scale of a prior is unknown and its
+    depth is far from that, its median becomes a typical one.
+    """
+    as_it_is = ScaleShift(1.0)
+    depth = as_it_is.apply(prior)
+    if prior.kind is DepthKind.METRIC or not depth.any():
+        return as_it_is
+    median = float(np.median(depth[depth > 0]))
+    if _ROOMS[0] <= median <= _ROOMS[1]:
+        return as_it_is
+    return ScaleShift(median / _TYPICAL if prior.kind.inverse else _TYPICAL / median)
 
 
 def _combined(depth_m: Image, reference_m: Image, noise: float) -> Image:

@@ -86,9 +86,11 @@ class DepthPriorOptions:
     kind: PriorKind = "none"
     """Source of depth priors: depth maps in a folder (maps), a model of the transformers library
     (transformers), another package, or none."""
-    use: Literal["complete", "correct"] = "complete"
+    use: Literal["complete", "correct", "track"] = "complete"
     """Complete the depth from neighbouring keyframes where it is unknown (complete), or use the
-    prior alone, corrected with the depth of the map as in Hier-SLAM++ (correct)."""
+    prior alone, corrected with the depth of the map as in Hier-SLAM++ (correct). With track, frames
+    are also tracked against the map with that depth, as in Hier-SLAM++, instead of by visual
+    odometry; --tracking selects the tracker."""
     size: PositiveInt = 8
     """Number of images that models for several images receive together (Hier-SLAM++: S)."""
     stride: PositiveInt = 4

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.levels import intensity_of
 from toolkit.datasets.base import Dataset
+from toolkit.datasets.images_only import ImagesOnly
 from toolkit.datasets.prefetch import prefetched
 from toolkit.depth_priors.completion import CompletedDepth, DepthCompletion
 from toolkit.depth_priors.correction import DepthCorrection
@@ -67,9 +67,7 @@ class MonocularSequence:
         self.name, self.camera = dataset.name, motion.camera
         self.label_names = dataset.label_names
         self.ground_truth: Trajectory | None = motion.trajectory
-        self._dataset = dataset
-        # Frames are read by a thread of their own, and by the correction of priors.
-        self._reading = threading.Lock()
+        self._images = ImagesOnly(dataset, motion.camera)
         self._provider, self._options = provider, options or DepthPriorOptions()
         motions = (motion, *motion.others)
         self._parts = [self._depth_of(one) for one in motions]
@@ -86,7 +84,8 @@ class MonocularSequence:
         if self._provider is None or self._options.use != "complete":
             return _PartDepth(depth)
         frames = [view.frame for view in motion.views]
-        source = PriorSource(self._provider, self._frame, frames, self._options.size, stride=1)
+        images = self._images.__getitem__
+        source = PriorSource(self._provider, images, frames, self._options.size, stride=1)
         completion = DepthCompletion(
             motion.camera,
             motion.views,
@@ -97,11 +96,11 @@ class MonocularSequence:
         return _PartDepth(depth, completion)
 
     def __len__(self) -> int:
-        return len(self._dataset)
+        return len(self._images)
 
     def __getitem__(self, index: int) -> Frame:
         """Frame `index` with estimated depth, in the unit of the estimated motion."""
-        frame = self._frame(index)
+        frame = self._images[index]
         if index not in self._views or len(self._views) < 2:
             return frame
         part, number = self._views[index]
@@ -117,22 +116,27 @@ class MonocularSequence:
         """Correction of priors that are used alone, None if they are not."""
         if self._provider is None or not self._uses_priors_alone:
             return None
-        options = self._options
-        source = PriorSource(
-            self._provider, self._frame, range(len(self)), options.size, options.stride
-        )
-        return DepthCorrection(source.prior, options.correction, needs_reference=True)
+        return prior_correction(self._images, self._provider, self._options, needs_reference=True)
 
     @property
     def _uses_priors_alone(self) -> bool:
         return self._provider is not None and self._options.use == "correct"
 
-    def _frame(self, index: int) -> Frame:
-        """Frame `index` with the estimated intrinsics and without depth."""
-        with self._reading:
-            frame = self._dataset[index]
-        return replace(frame, depth_m=np.zeros_like(frame.depth_m), camera=self.camera)
-
     def _intensity(self, index: int) -> NDArray[np.float32]:
-        with self._reading:
-            return intensity_of(self._dataset[index].rgb).numpy()
+        return intensity_of(self._images[index].rgb).numpy()
+
+
+def prior_correction(
+    images: ImagesOnly,
+    provider: DepthProvider,
+    options: DepthPriorOptions,
+    needs_reference: bool,
+) -> DepthCorrection:
+    """Correction of the priors of all frames, which are predicted in sets (H-14).
+
+    Args:
+        needs_reference: as in `DepthCorrection`.
+    """
+    size, stride = options.size, options.stride
+    source = PriorSource(provider, images.__getitem__, range(len(images)), size, stride)
+    return DepthCorrection(source.prior, options.correction, needs_reference)

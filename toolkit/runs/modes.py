@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.findings import quick_findings
+from toolkit.datasets.images_only import ImagesOnly
 from toolkit.datasets.pose_convention import judge_convention
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.depth_priors.provider import DepthProvider
@@ -27,7 +28,7 @@ from toolkit.loops.closing.interface import GivenParts, LoopClosing, NoLoopClosi
 from toolkit.loops.log import LoopLog
 from toolkit.monocular.motion import CameraMotion
 from toolkit.monocular.options import ScaleOptions
-from toolkit.monocular.sequence import MonocularSequence
+from toolkit.monocular.sequence import MonocularSequence, prior_correction
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.motion import estimated_motion, motion_at_given_poses
 from toolkit.runs.observers import Progress
@@ -237,6 +238,12 @@ class ImagesAlone(RunMode):
         for name, used in {"--pace": settings.pace, "--map": settings.map}.items():
             if used:
                 raise SettingsError(f"{name} needs depth images; remove it, or remove --depth none")
+        may_choose = self.given_poses or settings.depth_prior.use == "track"
+        if settings.tracking.kind != "dense" and not may_choose:
+            raise SettingsError(
+                f"--tracking.kind {settings.tracking.kind} needs depth; add --depth-prior.use "
+                "track with a source of priors, or remove --depth none"
+            )
 
     def open(self, run: RunContext) -> RunInput:
         """The keyframes of the motion, whose depth is estimated."""
@@ -263,11 +270,65 @@ class ImagesAlone(RunMode):
         )
 
 
+class ImagesWithPriors(ImagesAlone):
+    """The camera is located in the map with depth priors, without visual odometry (H, III.C).
+
+    A prior is aligned with the map twice: at the predicted pose, to track its frame, and at the
+    tracked pose, to map it. Nothing measures the drift of the scale, so that loops are not closed
+    and a lost camera is not relocalised elsewhere in the map.
+    """
+
+    def check(self, settings: RunSettings) -> None:
+        """Reject what needs depth images or the motion of the whole sequence."""
+        super().check(settings)
+        if settings.depth_prior.kind == "none":
+            raise SettingsError(
+                "--depth-prior.use track needs depth priors; set --depth-prior.kind, or remove it "
+                "to estimate depth from the images"
+            )
+        if settings.scale != ScaleOptions():
+            raise SettingsError(
+                "--scale needs visual odometry; remove it or --depth-prior.use track"
+            )
+
+    def open(self, run: RunContext) -> RunInput:
+        """The images, whose priors are aligned as they are tracked."""
+        assert run.provider is not None, "the settings were checked"
+        if not run.dataset.recording.calibrated:
+            raise DatasetError(
+                f"{run.settings.dataset.path} has no intrinsics, which only visual odometry "
+                "estimates; specify --dataset.fov-deg"
+            )
+        images = ImagesOnly(run.dataset)
+        options = run.settings.depth_prior
+        return RunInput(images, correction=prior_correction(images, run.provider, options, False))
+
+    def front_end(self, parts: FrontEndParts) -> FrontEnd:
+        """The tracker of the settings, without loop closure."""
+        settings = parts.settings
+        dense = settings.tracking.kind == "dense"
+        return FrontEnd(
+            build_tracker(settings.tracking, settings.backend, parts.recorder, parts.code),
+            correction=parts.correction,
+            tracks_priors=True,
+            centred=dense,
+            gains=dense,
+        )
+
+
 class ImagesAtGivenPoses(ImagesAlone):
     """Depth is found from the images at the poses of the dataset."""
 
     alignment = "none"
     given_poses = True
+
+    def check(self, settings: RunSettings) -> None:
+        """Reject what needs depth images, and tracking."""
+        super().check(settings)
+        if settings.depth_prior.use == "track":
+            raise SettingsError(
+                "--poses given leaves nothing to track; set --depth-prior.use correct"
+            )
 
     def _motion(self, run: RunContext) -> CameraMotion:
         return motion_at_given_poses(run.dataset, run.settings, run.progress)
@@ -281,7 +342,9 @@ def mode_of(settings: RunSettings) -> RunMode:
     """The mode that the settings describe."""
     given = settings.poses == "given"
     if settings.depth == "none":
-        return ImagesAtGivenPoses() if given else ImagesAlone()
+        if given:
+            return ImagesAtGivenPoses()
+        return ImagesWithPriors() if settings.depth_prior.use == "track" else ImagesAlone()
     return DepthAtGivenPoses() if given else DepthCamera()
 
 

@@ -108,7 +108,7 @@ def write_results(
     record: RunRecord,
 ) -> None:
     """Write trajectory, map, rendered views, metrics and report of a finished run."""
-    recorder, pace, motion = record.recorder, record.pace, record.motion
+    recorder, pace = record.recorder, record.pace
     scene: GaussianScene = result.map
     if result.taxonomy is not None:
         features = np.concatenate([part.features.half().numpy() for part in scene.parts()])
@@ -123,7 +123,7 @@ def write_results(
     summary = [*record.findings, *summary_lines(states, parts)]
     frames = frame_records(result, tracked, states, parts)
     frames["camera"] = asdict(dataset.camera)
-    names = LengthNames(motion is None or motion.metric_scale is not None)
+    names = LengthNames(_is_metric(record))
     summary.extend(names.notes)
     frames |= {"metric": names.metric, **_origins(dataset, folder, settings)}
     if pace is not None:
@@ -166,6 +166,14 @@ def write_results(
     for line in summary:
         _log.warning("%s", line)
     _log.info("Wrote the results to %s; see report.html there.", folder.path)
+
+
+def _is_metric(record: RunRecord) -> bool:
+    """Whether the unit of length is the metre."""
+    if record.motion is not None:
+        return record.motion.metric_scale is not None
+    correction = None if record.prior is None else record.prior.correction
+    return correction is None or correction.metric
 
 
 def _origins(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> dict[str, Any]:

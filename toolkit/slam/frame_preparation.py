@@ -17,6 +17,7 @@ from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.depth_filter import DepthFilter
+from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.rolling_shutter import rectified
 
 Array = NDArray[np.float64]
@@ -56,8 +57,14 @@ class FramePreparation:
         self._recorder = recorder
         self.labeller, self.correction = sources.labeller, front_end.correction
         self._start_velocity = front_end.start_velocity
+        tracker = front_end.tracker
+        # Predicts the poses at which priors are aligned before frames are tracked with them.
+        self._predicting: MovingTracker | None = None
+        if front_end.tracks_priors:
+            assert isinstance(tracker, MovingTracker), "a trajectory needs no depth"
+            self._predicting = tracker
         self._filter = DepthFilter() if sources.denoise else None
-        labeller, tracks_labels = sources.labeller, front_end.tracker.wants_labels
+        labeller, tracks_labels = sources.labeller, tracker.wants_labels
         # All frames are labelled before they are tracked, not only keyframes.
         self._labels_first = labeller is not None and (labeller.every_frame or tracks_labels)
 
@@ -73,8 +80,13 @@ class FramePreparation:
         frame = self._denoised(frame)
         if self._labels_first:
             frame = self._segmented(frame, None)
-        if self.correction is None or self._atlas.keyframes:
+        if self.correction is None:
             return frame
+        if self._atlas.keyframes:
+            if self._predicting is None:
+                return frame
+            predicted = self._predicting.motion.predict(frame.timestamp_s)
+            return self._with_prior(frame, predicted, final=False)
         # The first map follows from the prior alone.
         with self._recorder.timed(Stage.DEPTH_PRIOR):
             started = self.correction.start(frame)
@@ -91,9 +103,14 @@ class FramePreparation:
             return frame
         if not mapper.wants_view(atlas.keyframes, frame.index, T_map_camera):
             return frame
+        return self._with_prior(frame, T_map_camera)
+
+    def _with_prior(self, frame: Frame, T_map_camera: Array, final: bool = True) -> Frame:
+        """A frame with the depth of its prior, aligned with the map at a pose (H-15, H-16)."""
+        assert self.correction is not None
         with self._recorder.timed(Stage.DEPTH_PRIOR):
-            view = mapper.render(atlas.gaussians, frame.camera, T_map_camera)
-            corrected = self.correction.correct(frame, RenderedDepth.of(view))
+            view = self._mapper.render(self._atlas.gaussians, frame.camera, T_map_camera)
+            corrected = self.correction.correct(frame, RenderedDepth.of(view), final)
         return self._denoised(corrected, measured=False)
 
     def as_keyframe(self, observed: Frame, frame: Frame, T_map_camera: Array) -> Frame:

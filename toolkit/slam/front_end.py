@@ -25,6 +25,8 @@ class FrontEnd:
         placement: refines the poses of new keyframes against earlier ones; None if they are final.
         correction: gives frames that may become keyframes the depth of their priors, aligned with
             the map; None if depth is measured.
+        tracks_priors: whether frames are tracked with that depth, for which the map is rendered at
+            the predicted pose.
         start_velocity: [6] m/s and rad/s of the camera in the first frame, which a rolling shutter
             has bent; None if it is not known.
         centred: whether colours of Gaussians may be centred, which suits the dense tracker only:
@@ -40,6 +42,7 @@ class FrontEnd:
     closer: LoopClosing = field(default_factory=NoLoopClosing)
     placement: KeyframePlacement | None = None
     correction: DepthCorrection | None = None
+    tracks_priors: bool = False
     start_velocity: NDArray[np.float64] | None = None
     centred: bool = False
     gains: bool = False
