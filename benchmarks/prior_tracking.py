@@ -6,7 +6,8 @@ SEMSPLAT_DATA=DATA python -m benchmarks.prior_tracking [--only NAMES]
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from contextlib import ExitStack
+from dataclasses import asdict, replace
 from functools import cache
 from typing import Any
 from unittest.mock import patch
@@ -38,6 +39,7 @@ from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
+from toolkit.losses.tracking_loss import PRESETS
 from toolkit.options import as_plain, validated
 from toolkit.rendering import backend, render_surface
 from toolkit.runs.modes import RunContext, mode_of
@@ -61,6 +63,8 @@ MENDED: Values = {"share": "scope", "robust": True}
 _SHARED: dict[str, Values] = {
     "shared by the set": {"correction": _SHARE},
     "robust fit": {"correction": {"robust": True}},
+    "tracking by colour alone": {"colour_alone": True},
+    "shared, tracking by colour alone": {"correction": _SHARE, "colour_alone": True},
 }
 CHANGES: dict[str, dict[str, Values]] = {
     "exact": _SHARED,
@@ -162,9 +166,13 @@ def measure(job: Values, seed: int) -> Metrics:
     provider = None if "prior" not in job else _provider(job["sequence"], job["prior"], seed)
     settings = _settings(job, seed)
     estimates = {"median": _median_ratio, "inverse": _inverse_least_squares}
-    if "estimate" not in job:
-        return _measured(settings, dataset, provider)
-    with patch.object(correction_module, "fit", estimates[job["estimate"]]):
+    with ExitStack() as changes:
+        if "estimate" in job:
+            estimate = estimates[job["estimate"]]
+            changes.enter_context(patch.object(correction_module, "fit", estimate))
+        if job.get("colour_alone"):
+            weights = replace(PRESETS["hier-slam"], depth=0.0)
+            changes.enter_context(patch.dict(PRESETS, {"hier-slam": weights}))
         return _measured(settings, dataset, provider)
 
 

@@ -114,6 +114,48 @@ def test_without_any_overlap_the_last_correction_is_used():
     assert np.allclose(found.depth_m, prior_of(2).image.values)
 
 
+def test_a_predicted_pose_teaches_the_set_nothing():
+    known = correction()
+    known.start(frame(0))
+    assert known.correct(frame(2), rendered(1.2 * TRUTH), final=False).depth_m.any()
+    assert 1 not in known.found and not known.state()[1]["groups"]
+    known.correct(frame(2), rendered())
+    # The set is known by now, and a wrong prediction does not change the depth.
+    moved = known.correct(frame(3), rendered(TRUTH + 0.3), final=False)
+    assert np.allclose(moved.depth_m, TRUTH, rtol=1e-3)
+
+
+def test_without_sets_the_depth_follows_a_wrong_prediction():
+    """H-16 as printed: what is aligned at the predicted pose agrees with it."""
+    single = correction(share="frame", robust=False, filter=False, grid=1)
+    single.start(frame(0))
+    moved = single.correct(frame(3), rendered(TRUTH + 0.3), final=False)
+    assert np.allclose(moved.depth_m, TRUTH + 0.3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", [DepthKind.SCALED, DepthKind.AFFINE_INVERSE])
+@pytest.mark.parametrize("unit", [0.01, 100.0])
+def test_a_first_prior_of_unknown_scale_gets_the_size_of_a_room(kind, unit):
+    values = unit * TRUTH if kind is DepthKind.SCALED else 1.0 / (unit * TRUTH)
+    image = PriorImage(values.astype(np.float32), np.ones(SHAPE, bool), kind)
+    prior = FramePrior(image, 0, prior_of(0).prior)
+    first = correction(lambda index: prior)
+    depth_m = first.start(frame(0)).depth_m
+    assert np.median(depth_m) == pytest.approx(2.0, rel=1e-3)
+    assert np.allclose(depth_m / depth_m[0, 0], TRUTH / TRUTH[0, 0], rtol=1e-4)
+    assert not first.metric
+
+
+def test_a_metric_prior_keeps_the_metre():
+    image = PriorImage(20.0 * TRUTH, np.ones(SHAPE, bool), DepthKind.METRIC)
+    first = correction(lambda index: FramePrior(image, 0, prior_of(0).prior))
+    assert np.allclose(first.start(frame(0)).depth_m, 20.0 * TRUTH)
+    arrays, values = first.state()
+    again = correction()
+    again.restore(arrays, json.loads(json.dumps(values)))
+    assert first.metric and again.metric
+
+
 def test_plain_least_squares_is_the_printed_equation():
     noisy = lambda index: prior_of(index, 0.2)  # noqa: E731
     plain = correction(noisy, robust=False, filter=False, grid=1)

@@ -91,13 +91,13 @@ def test_the_monocular_hier_slam_differs_in_its_depth_alone():
     assert (mono.depth, mono.depth_prior.kind, mono.depth_prior.use) == (
         "none",
         "dust3r",
-        "correct",
+        "track",
     )
     correction = mono.depth_prior.correction
     assert not correction.robust and not correction.filter and correction.shift  # H-16
     assert (correction.grid, correction.share) == (1, "frame")
     assert mono.mapping.depth_adjustment.use  # H-17
-    for stage in ("mapping", "semantics", "submaps", "loops"):
+    for stage in ("tracking", "placement", "mapping", "semantics", "submaps", "loops"):
         assert getattr(mono, stage) == getattr(depth, stage)
 
 

@@ -1,0 +1,110 @@
+"""Frames without depth are tracked against the map with depth priors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from toolkit.datasets.images_only import ImagesOnly
+from toolkit.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
+from toolkit.depth_priors.provider import (
+    DepthKind,
+    DepthPrior,
+    PriorModel,
+    PriorSet,
+    ScaleScope,
+)
+from toolkit.evaluation.trajectory import absolute_trajectory_error
+from toolkit.frame import Frame
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.monocular.sequence import prior_correction
+from toolkit.options import as_plain, validated
+from toolkit.runs.building import build_slam
+from toolkit.runs.settings import RunSettings, load_settings
+from toolkit.slam.system import Slam
+from toolkit.synthetic_rooms import tiny_room
+
+FRAMES, SIZE, STRIDE = 10, 2, 2
+OPTIONS = DepthPriorOptions(
+    size=SIZE, stride=STRIDE, correction=ScaleCorrectionOptions(grid=1, filter=False)
+)
+
+
+class Room:
+    """A room as a dataset."""
+
+    name, label_names = "room", None
+
+    def __init__(self) -> None:
+        self.frames, self.ground_truth = tiny_room(FRAMES, 80, 60)
+        self.camera = self.frames[0].camera
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self.frames[index]
+
+
+class ScaledTruth:
+    """True depth with another scale for each set but the first one."""
+
+    joint, model = False, PriorModel("scaled truth")
+
+    def __init__(self, room: Room, missing: int) -> None:
+        self._room, self._missing = room, missing
+
+    def predict(self, frames: Sequence[Frame]) -> PriorSet:
+        def values(index: int) -> np.ndarray:
+            number = index // (SIZE * STRIDE) * STRIDE + index % STRIDE
+            scale = 1.0 if number == 0 else (1.7, 0.5)[number % 2]
+            known = np.nan if index == self._missing else 1.0
+            return (known * scale * self._room[index].depth_m).astype(np.float32)
+
+        priors = tuple(
+            DepthPrior(values(f.index), DepthKind.SCALED, ScaleScope.SET, self.model)
+            for f in frames
+        )
+        return PriorSet(tuple(f.index for f in frames), priors)
+
+
+@pytest.fixture(scope="module")
+def room() -> Room:
+    return Room()
+
+
+def system(room: Room, tracker: str, missing: int = -1) -> tuple[Slam, ImagesOnly]:
+    values = as_plain(load_settings(preset="hier-slam-mono"))
+    values["semantics"]["code"]["kind"] = "none"
+    values["mapping"] |= {"first_iterations": 12, "iterations": 4}
+    values["tracking"]["kind"] = tracker
+    values["tracking"]["first_order"]["iterations"] = 25
+    images = ImagesOnly(room)
+    provider = ScaledTruth(room, missing)
+    correction = prior_correction(images, provider, OPTIONS, needs_reference=False)
+    settings = validated(RunSettings, values)
+    return build_slam(images, settings, correction=correction), images
+
+
+def test_frames_are_tracked_in_the_unit_of_the_first_set(room):
+    slam, images = system(room, "dense")
+    results = [slam.process_frame(frame) for frame in images]
+    assert not any(result.lost for result in results)
+    found = slam.finish().trajectory
+    error = absolute_trajectory_error(found, room.ground_truth, "sim3")
+    assert error.rmse_m < 0.1 * path_m(room.ground_truth)
+    assert 0.6 < error.alignment.scale < 1.6  # those of the sets are 0.6 to 2
+
+
+def path_m(trajectory: Trajectory) -> float:
+    return float(np.linalg.norm(np.diff(trajectory.positions_m, axis=0), axis=1).sum())
+
+
+@pytest.mark.parametrize("tracker", ["first-order", "dense"])
+def test_a_frame_without_a_prior_is_lost_and_the_next_one_is_tracked(room, tracker):
+    slam, images = system(room, tracker, missing=3)
+    results = [slam.process_frame(images[index]) for index in range(5)]
+    assert [result.lost for result in results] == [False, False, False, True, False]
+    assert "0 pixels have depth" in results[3].reason
