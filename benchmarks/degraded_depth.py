@@ -66,6 +66,10 @@ class DegradedDepth:
         rng = np.random.default_rng((self._seed, 0, number))
         return ScaleShift(float(np.exp(rng.uniform(-0.7, 0.7))), float(rng.uniform(-0.4, 0.4)))
 
+    def truth_of(self, index: int) -> ScaleShift:
+        """The correction of the set of a frame."""
+        return self.truth(self._set_of[index])
+
     def predict(self, frames: Sequence[Frame]) -> PriorSet:
         """Degraded depth of some frames."""
         priors = tuple(
@@ -77,7 +81,7 @@ class DegradedDepth:
     def _values(self, index: int) -> Image:
         depth = self._dataset[index].depth_m.astype(np.float64)
         rng, how = np.random.default_rng((self._seed, 1, index)), self._degradation
-        true = self.truth(self._set_of[index])
+        true = self.truth_of(index)
         values = (depth * _bend(depth.shape, how.bend, rng) - true.shift) / true.scale
         values *= 1.0 + how.noise * rng.standard_normal(depth.shape)
         wrong = rng.uniform(0.0, 3.0, depth.shape) * np.median(values[depth > 0])

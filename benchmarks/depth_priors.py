@@ -5,6 +5,7 @@ python -m benchmarks.depth_priors [--only NAMES]
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
@@ -17,14 +18,14 @@ from benchmarks.recordings import room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
 from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.images_only import ImagesOnly
 from toolkit.datasets.registry import open_dataset
+from toolkit.depth_priors.alignment import ScaleShift
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
-from toolkit.depth_priors.source import PriorSource
 from toolkit.evaluation.trajectory import absolute_trajectory_error
-from toolkit.frame import Frame
 from toolkit.monocular.motion import CameraMotion, estimate_motion
-from toolkit.monocular.sequence import MonocularSequence
+from toolkit.monocular.sequence import MonocularSequence, prior_correction
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.system import Slam
@@ -84,29 +85,6 @@ class Options(ReportOptions):
     """Number of frames."""
 
 
-class Blind:
-    """A dataset without its depth.
-
-    Args:
-        dataset: the recording.
-    """
-
-    def __init__(self, dataset: RecordedDataset) -> None:
-        self.name, self.camera = dataset.name, dataset.camera
-        self.ground_truth, self.label_names = dataset.ground_truth, dataset.label_names
-        self._dataset = dataset
-
-    def __len__(self) -> int:
-        return len(self._dataset)
-
-    def __getitem__(self, index: int) -> Frame:
-        frame = self._dataset[index]
-        return replace(frame, depth_m=np.zeros_like(frame.depth_m))
-
-    def __iter__(self):  # type: ignore[no-untyped-def]
-        return (self[index] for index in range(len(self)))
-
-
 def main() -> None:
     """Measure all rows."""
     options = tyro.cli(Options)
@@ -135,12 +113,11 @@ def correct(job: dict, seed: int) -> Metrics:
         correction=replace(ScaleCorrectionOptions(), **job.get("correction", {})),
     )
     metrics: Metrics = {"frames": len(dataset)}
-    blind = Blind(dataset)
-    sequence: Blind | MonocularSequence = blind
+    blind = ImagesOnly(dataset)
+    sequence: ImagesOnly | MonocularSequence = blind
     scale = 1.0
     if job["poses"] == "given":
-        source = PriorSource(prior, blind.__getitem__, range(len(blind)), *SETS)
-        correction = DepthCorrection(source.prior, options.correction, needs_reference=False)
+        correction = prior_correction(blind, prior, options, needs_reference=False)
     else:
         motion = estimate_motion(blind, dataset.camera)
         sequence = MonocularSequence(blind, motion, prior, options)
@@ -156,7 +133,9 @@ def correct(job: dict, seed: int) -> Metrics:
     for index in range(len(dataset)):
         slam.process_frame(sequence[index])
     slam.finish()
-    metrics |= _set_errors(correction, prior, float(np.median(dataset[0].depth_m)))
+    # Groups are frames if each frame has a correction of its own.
+    truth = prior.truth_of if options.correction.share == "frame" else prior.truth
+    metrics |= _set_errors(correction, truth, float(np.median(dataset[0].depth_m)))
     return metrics | _map_errors(slam, dataset, scale)
 
 
@@ -166,7 +145,7 @@ def complete(job: dict, seed: int) -> Metrics:
     options = DepthPriorOptions(
         kind="maps", correction=replace(ScaleCorrectionOptions(), **job.get("correction", {}))
     )
-    motion = estimate_motion(Blind(dataset), dataset.camera)
+    motion = estimate_motion(ImagesOnly(dataset), dataset.camera)
     used = prior if "degradation" in job else None
     sequence = MonocularSequence(dataset, motion, used, options)
     scale = _ate(motion, dataset)[1]
@@ -206,13 +185,15 @@ def _ate(motion: CameraMotion, dataset: RecordedDataset) -> tuple[float, float]:
     return 100.0 * error.rmse_m, error.alignment.scale
 
 
-def _set_errors(correction: DepthCorrection, prior: DegradedDepth, median_m: float) -> Metrics:
+def _set_errors(
+    correction: DepthCorrection, truth: Callable[[int], ScaleShift], median_m: float
+) -> Metrics:
     """Errors of scale and shift, in the unit of the first set."""
     first, *others = correction.found
-    unit = correction.found[first].scale / prior.truth(first).scale
+    unit = correction.found[first].scale / truth(first).scale
     scale, shift = [], []
     for group in others:
-        found, true = correction.found[group], prior.truth(group)
+        found, true = correction.found[group], truth(group)
         scale.append(abs(found.scale / (unit * true.scale) - 1.0))
         shift.append(abs(found.shift / unit - true.shift) / median_m)
     return {

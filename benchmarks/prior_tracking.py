@@ -58,23 +58,27 @@ PRIORS: dict[str, Values | None] = {
     "our depth": None,
 }
 _SHARE: Values = {"share": "scope"}
-MENDED: Values = {"share": "scope", "robust": True}
-# Changes to H-16 as printed: options of the correction, and the estimate instead of least squares.
-_SHARED: dict[str, Values] = {
-    "shared by the set": {"correction": _SHARE},
-    "robust fit": {"correction": {"robust": True}},
-    "tracking by colour alone": {"colour_alone": True},
-    "shared, tracking by colour alone": {"correction": _SHARE, "colour_alone": True},
-}
+_FILTERED: Values = {"share": "scope", "robust": True, "filter": True}
+_COLOUR: Values = {"colour_alone": True}
+# Changes to H-16 as printed: options of the correction, the estimate instead of least squares, and
+# whether the depth term takes part in tracking.
 CHANGES: dict[str, dict[str, Values]] = {
-    "exact": _SHARED,
-    "noise": _SHARED
-    | {
+    "exact": {
+        "tracking by colour alone": _COLOUR,
+        "shared, tracking by colour alone": {"correction": _SHARE} | _COLOUR,
+    },
+    "noise": {
+        "shared, robust, filtered, tracking by colour alone": {"correction": _FILTERED} | _COLOUR,
+        "robust fit": {"correction": {"robust": True}},
         "median of the ratios": {"estimate": "median"},
         "least squares in the prior": {"estimate": "inverse"},
-        "shared, median of the ratios": {"correction": _SHARE, "estimate": "median"},
-        "shared, least squares in the prior": {"correction": _SHARE, "estimate": "inverse"},
     },
+}
+# Beside H-16 as printed.
+MENDED: dict[str, Values] = {
+    "as printed": {},
+    "shared by the set": {"correction": _SHARE},
+    "shared, robust, filtered": {"correction": _FILTERED},
 }
 SEQUENCES = {"room": tuple(PRIORS), "redkitchen": ("smooth errors", "our depth")}
 _OURS: Values = {"preset": "default"}
@@ -95,7 +99,7 @@ images, rendered at its poses.
 ATE: after Sim(3) alignment. Scale error: of the median depth of keyframes, relative to that of the
 first quarter of them; median over the keyframes, and of the last one. Depth error: median over the
 pixels of all keyframes, in the same unit. The path is the camera's. As printed: every frame has a
-scale and a shift of its own, by least squares. Mended: the frames of a set share them."""
+scale and a shift of its own, by least squares. Shared: the frames of a set have the same."""
 
 
 class OwnDepth:
@@ -146,12 +150,11 @@ def jobs() -> dict[str, Values]:
     for sequence, priors in SEQUENCES.items():
         rows: dict[str, Values] = {"RGB-D, preset hier-slam": {"preset": "hier-slam"}}
         for prior in priors:
-            rows[f"{prior}, as printed"] = {"prior": prior}
-            rows[f"{prior}, mended"] = {"prior": prior, "correction": MENDED}
+            rows |= {f"{prior}, {name}": {"prior": prior} | v for name, v in MENDED.items()}
         if sequence == "room":
-            rows["smooth errors, mended, dense tracker"] = {
+            rows["smooth errors, shared, robust, filtered, dense tracker"] = {
                 "prior": "smooth errors",
-                "correction": MENDED,
+                "correction": _FILTERED,
                 "tracking": "dense",
             }
             rows["no prior, our odometry, mapping of the preset"] = _ODOMETRY
