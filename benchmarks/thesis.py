@@ -1,6 +1,6 @@
 """What semantics add to each part of the system, where they should: changed and similar rooms.
 
-    python -m benchmarks.thesis [descriptors seeding allocation registration]
+    python -m benchmarks.thesis [descriptors loops seeding allocation registration]
 
 Each part is a table with rows without and with semantics. `ring-small` is the ring of rooms of the
 other benchmarks. In `ring-moved` and `ring-light`, most objects of the first room are elsewhere, or
@@ -24,7 +24,7 @@ from benchmarks.loops import area_under_curve
 from benchmarks.place_recognition import recall
 from benchmarks.recordings import room
 from benchmarks.registration_methods import Methods
-from benchmarks.registration_pairs import Pair, Recording, draw_pairs, pool
+from benchmarks.registration_pairs import SPACING, STEP, Pair, Recording, draw_pairs, piece
 from benchmarks.registration_trials import judged
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
@@ -41,17 +41,28 @@ from toolkit.runs.building import build_run_labeller
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.palette import Palette
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
-from toolkit.taxonomy_building.factory import choose_taxonomy
 
 Values = dict[str, Any]
-PartName = Literal["descriptors", "seeding", "allocation", "registration"]
+PartName = Literal["descriptors", "loops", "seeding", "allocation", "registration"]
+Measure = Literal["descriptors", "seeding", "run", "registration"]
 
 SCENES = ("ring-small", "twins-objects", "ring-moved", "ring-light")
 EVERY = 5  # frames from one described frame to the next
-PAIRS = 12  # of submaps, of each scene
-APART = 150  # minimum number of frames between the submaps of a pair
-SEEDED_FRAMES = 150
+PAIRS = 6  # of submaps, of each scene
+KEYFRAMES = 7  # of a submap
+SEEDED_FRAMES = 100
+
+LOOPS = (
+    "trajectory.ate_rmse_cm",
+    "images.mapped.psnr_db",
+    "semantics.mapped.miou_percent",
+    "submaps",
+    "loops",
+    "loops.verified.overlap.precision_percent",
+    "loops.verified.overlap.recall_percent",
+    "loops.edges.right_percent",
+    "frames.lost",
+)
 
 DESCRIPTION = """\
 What semantics add to one part of the system at a time. Sequences have 450 frames of 160x120 pixels
@@ -70,6 +81,7 @@ class Part:
         scenes: on which each row is measured.
         columns: metrics.
         rows: what `measure` takes, by the name of the row.
+        measure: how a row is measured.
     """
 
     title: str
@@ -77,6 +89,7 @@ class Part:
     scenes: tuple[str, ...]
     columns: tuple[str, ...]
     rows: dict[str, Values]
+    measure: Measure
 
 
 def _seeding(share: float) -> Values:
@@ -99,6 +112,18 @@ PARTS: dict[PartName, Part] = {
             for kind in ("vlad", "builtin")
             for source in ("rgb", "semantic", "both")
         },
+        "descriptors",
+    ),
+    "loops": Part(
+        "Loops found with these descriptors",
+        "Complete runs without the final refinement.",
+        ("twins-objects", "ring-moved", "ring-light"),
+        LOOPS,
+        {
+            "vlad, rgb (default)": {},
+            "vlad, both": {"loops": {"features": {"source": "both"}}},
+        },
+        "run",
     ),
     "seeding": Part(
         "Seeding",
@@ -116,30 +141,25 @@ PARTS: dict[PartName, Part] = {
             "semantic, 50 % of the pixels": _seeding(0.5),
             "semantic, all pixels": _seeding(1.0),
         },
+        "seeding",
     ),
     "allocation": Part(
         "Allocation of submaps",
         "Complete runs without the final refinement.",
-        ("ring-small", "twins-objects", "ring-moved"),
-        (
-            "trajectory.ate_rmse_cm",
-            "images.mapped.psnr_db",
-            "semantics.mapped.miou_percent",
-            "submaps",
-            "loops",
-            "frames.lost",
-        ),
+        ("twins-objects", "ring-moved"),
+        LOOPS,
         {
             "overlap alone": {"submaps": {"allocation": {"min_divergence": 0.0}}},
             "overlap and classes (default)": {},
         },
+        "run",
     ),
     "registration": Part(
         "Registration of submaps",
-        f"Up to {PAIRS} pairs of submaps with at least {APART} frames in between, mapped at true "
-        "poses. Success is 5 cm and 2 degrees; errors are medians over the successes. Wrong: "
-        "failures that the verification of loops accepts.",
-        SCENES,
+        f"{PAIRS} pairs of submaps of {KEYFRAMES} keyframes, mapped at true poses: one from the "
+        "first third of the frames, one from the last. Success is 5 cm and 2 degrees; errors are "
+        "medians over the successes. Wrong: failures that the verification of loops accepts.",
+        SCENES[1:],
         ("success %", "error cm", "error deg", "wrong", "pairs"),
         {
             "SGR, classes ignored": {"method": "SGR, classes ignored"},
@@ -151,6 +171,7 @@ PARTS: dict[PartName, Part] = {
                 "method": "SGR, first-order fine, no feature term"
             },
         },
+        "registration",
     ),
 }
 
@@ -161,6 +182,7 @@ class Options(ReportOptions):
 
     parts: tyro.conf.Positional[tuple[PartName, ...]] = (
         "descriptors",
+        "loops",
         "seeding",
         "allocation",
         "registration",
@@ -182,10 +204,11 @@ def main() -> None:
 
 def jobs_of(part: PartName) -> dict[str, Values]:
     """What each row of a table measures."""
+    chosen = PARTS[part]
     return {
-        f"{scene}, {row}": {"part": part, "scene": scene, "values": values}
-        for scene in PARTS[part].scenes
-        for row, values in PARTS[part].rows.items()
+        f"{scene}, {row}": {"part": chosen.measure, "scene": scene, "values": values}
+        for scene in chosen.scenes
+        for row, values in chosen.rows.items()
     }
 
 
@@ -198,10 +221,10 @@ def table_of_part(part: PartName, found: Rows) -> Table:
 
 def measure(job: Values, seed: int) -> Metrics:
     """Metrics of one row with one seed."""
-    measures: dict[PartName, Callable[[str, Values, int], Metrics]] = {
+    measures: dict[Measure, Callable[[str, Values, int], Metrics]] = {
         "descriptors": recognised,
         "seeding": seeded,
-        "allocation": allocated,
+        "run": unrefined,
         "registration": registered,
     }
     return measures[job["part"]](job["scene"], job["values"], seed)
@@ -247,7 +270,7 @@ def seeded(scene: str, values: Values, seed: int) -> Metrics:
     return run(scene, values | {"poses": "given", "max_frames": SEEDED_FRAMES}, seed)
 
 
-def allocated(scene: str, values: Values, seed: int) -> Metrics:
+def unrefined(scene: str, values: Values, seed: int) -> Metrics:
     """metrics.json of a run without the final refinement."""
     return run(scene, values | {"mapping": {"final_iterations": 0}}, seed)
 
@@ -287,14 +310,25 @@ def methods_of(scene: str, seed: int) -> list[tuple[Pair, Methods]]:
     """Pairs of submaps of a sequence, with the methods that register them."""
     dataset = opened(scene, seed)
     assert dataset.ground_truth is not None
-    settings = RunSettings().semantics
-    tree = choose_taxonomy("auto", {number: name for name, number in CLASS_IDS.items()})
-    semantics = build_semantic_mapping(settings, build_code(settings.code, tree), seed)
-    frames = [dataset[index] for index in range(len(dataset))]
+    settings, count = RunSettings(), len(dataset)
+    labeller = build_run_labeller(settings, dataset)
+    assert labeller is not None
+    code = build_code(settings.semantics.code, labeller.taxonomy)
+    semantics = build_semantic_mapping(settings.semantics, code, seed)
+    describer = build_describer(settings.loops.features)
+    frames = [labeller.label(dataset[index]) for index in range(count)]
     recording = Recording(frames, dataset.ground_truth.T_world_camera, semantics)
     generator = np.random.default_rng([seed, 0])
-    pieces = pool(recording, generator)
-    pairs = draw_pairs(pieces, PAIRS, semantics, generator, scene, APART)
+    length = STEP * KEYFRAMES
+    starts = [
+        *range(0, count // 3 - length, SPACING),
+        *range(2 * count // 3, count - length, SPACING),
+    ]
+    pieces = [
+        piece(recording, range(start, start + length, STEP), describer, generator)
+        for start in starts
+    ]
+    pairs = draw_pairs(pieces, PAIRS, semantics, generator, scene, apart=count // 3)
     return [(pair, Methods(pair, seed)) for pair in pairs]
 
 
