@@ -117,7 +117,7 @@ PARTS: dict[PartName, Part] = {
     "loops": Part(
         "Loops found with these descriptors",
         "Complete runs without the final refinement.",
-        ("twins-objects", "ring-moved", "ring-light"),
+        ("ring-light",),
         LOOPS,
         {
             "vlad, rgb (default)": {},
@@ -128,7 +128,7 @@ PARTS: dict[PartName, Part] = {
     "seeding": Part(
         "Seeding",
         f"The first {SEEDED_FRAMES} frames at true poses. Unseen views lie off the path.",
-        ("ring-small", "twins-objects"),
+        ("twins-objects",),
         (
             "images.mapped.psnr_db",
             "depth.mapped.l1_cm",
@@ -146,7 +146,7 @@ PARTS: dict[PartName, Part] = {
     "allocation": Part(
         "Allocation of submaps",
         "Complete runs without the final refinement.",
-        ("twins-objects", "ring-moved"),
+        ("twins-objects",),
         LOOPS,
         {
             "overlap alone": {"submaps": {"allocation": {"min_divergence": 0.0}}},
@@ -158,18 +158,13 @@ PARTS: dict[PartName, Part] = {
         "Registration of submaps",
         f"{PAIRS} pairs of submaps of {KEYFRAMES} keyframes, mapped at true poses: one from the "
         "first third of the frames, one from the last. Success is 5 cm and 2 degrees; errors are "
-        "medians over the successes. Wrong: failures that the verification of loops accepts.",
+        "medians over the successes. Wrong: failures that the verification of loops accepts. "
+        "The first-order fine stage with semantics is in `papers.md`.",
         SCENES[1:],
         ("success %", "error cm", "error deg", "wrong", "pairs"),
         {
             "SGR, classes ignored": {"method": "SGR, classes ignored"},
             "SGR, pixels of other classes excluded (default)": {"method": "SGR"},
-            "SGR, first-order fine without semantics": {
-                "method": "SGR, first-order fine, colour and depth"
-            },
-            "SGR, first-order fine with semantics": {
-                "method": "SGR, first-order fine, no feature term"
-            },
         },
         "registration",
     ),
