@@ -92,8 +92,8 @@ class Part:
     measure: Measure
 
 
-def _seeding(share: float) -> Values:
-    return {"mapping": {"seeding": {"choice": "semantic", "share": share}}}
+def _seeding(choice: str, share: float) -> Values:
+    return {"mapping": {"seeding": {"choice": choice, "share": share}}}
 
 
 PARTS: dict[PartName, Part] = {
@@ -127,7 +127,7 @@ PARTS: dict[PartName, Part] = {
     ),
     "seeding": Part(
         "Seeding",
-        f"The first {SEEDED_FRAMES} frames at true poses. Unseen views lie off the path.",
+        f"The first {SEEDED_FRAMES} frames at true poses.",
         ("twins-objects",),
         (
             "images.mapped.psnr_db",
@@ -137,9 +137,11 @@ PARTS: dict[PartName, Part] = {
         ),
         {
             "cells (default)": {},
-            "semantic, 25 % of the pixels": _seeding(0.25),
-            "semantic, 50 % of the pixels": _seeding(0.5),
-            "semantic, all pixels": _seeding(1.0),
+            **{
+                f"{choice}, {100 * share:.0f} % of the pixels": _seeding(choice, share)
+                for share in (0.25, 0.5, 1.0)
+                for choice in ("uniform", "semantic")
+            },
         },
         "seeding",
     ),
