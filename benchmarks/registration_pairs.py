@@ -155,14 +155,18 @@ def draw_pairs(
     semantics: SemanticMapping,
     generator: np.random.Generator,
     name: str,
+    apart: int = 0,
 ) -> list[Pair]:
     """At most so many pairs, their overlaps as evenly spread over 30-100 % as the pool has them.
 
-    The submap with more keyframes is the target (G).
+    The submap with more keyframes is the target (G). There are at least `apart` frames between the
+    submaps of a pair.
     """
     possible = []
     for a, b in combinations(range(len(pieces)), 2):
         if pieces[a].frames & pieces[b].frames:
+            continue
+        if min(pieces[b].frames) - max(pieces[a].frames) < apart:
             continue
         if len(pieces[a].frames) < len(pieces[b].frames):
             a, b = b, a

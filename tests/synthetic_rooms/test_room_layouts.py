@@ -1,5 +1,7 @@
 """Room layouts: placement of furniture and smoothness of camera paths."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,10 @@ from toolkit.geometry import se3
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.synthetic_rooms.furnishing import STYLES, furnish
 from toolkit.synthetic_rooms.furniture import Workshop
-from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts, single_room
+from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts, build_scene, single_room
 from toolkit.synthetic_rooms.parts import bounds
 from toolkit.synthetic_rooms.paths import hand_held_path
+from toolkit.synthetic_rooms.shell import room_shell
 from toolkit.synthetic_rooms.vocabulary import CLASS_IDS, CLASS_NAMES
 
 
@@ -179,3 +182,53 @@ def test_a_still_camera_moves_less_than_a_hundredth_of_the_distance():
     assert np.sqrt(T[:, :3, 3].var(axis=0).sum()) < 0.015
     turned = se3.rotation_angle_rad(T[0, :3, :3].T @ T[:, :3, :3])
     assert 0.02 < turned.max() < 0.15
+
+
+def test_twins_of_objects_share_walls_and_textures_only():
+    layout = LAYOUTS["twins-objects"]()
+    first, _, third, _ = layout.rooms
+    assert layout.room_seeds[0] == layout.room_seeds[2]
+    shells = [room_shell(_at_origin(p), Workshop(np.random.default_rng(1))) for p in (first, third)]
+    np.testing.assert_array_equal(_points(shells[0]), _points(shells[1]))
+    pieces = [furnish(_at_origin(p), Workshop(np.random.default_rng(1))) for p in (first, third)]
+    here, there = ({part.class_name for part in parts} for parts in pieces)
+    assert {"desk", "chair"} <= here - there
+    assert {"bed", "wardrobe"} <= there - here
+
+
+def test_only_smaller_objects_of_the_first_room_move_before_the_return():
+    layout = LAYOUTS["ring-moved"]()
+    before, after = (build_parts(layout, 0, later=later) for later in (False, True))
+    assert _points(before).shape == _points(build_parts(LAYOUTS["ring"](), 0)).shape
+    np.testing.assert_array_equal(_points(before), _points(build_parts(LAYOUTS["ring"](), 0)))
+    places = [{(part.class_name, *_centre(part)) for part in parts} for parts in (before, after)]
+    x0, y0, x1, y1 = layout.rooms[0].bounds_m
+    gone = places[0] - places[1]
+    assert all(x0 < x < x1 and y0 < y < y1 for _, x, y, _ in gone)
+    assert {"indoor-plant", "lamp"} <= {name for name, *_ in gone}
+    assert not {"sofa", "wall", "floor", "picture"} & {name for name, *_ in gone}
+    # What moves is found elsewhere, unless there is no place for it.
+    assert {name for name, *_ in places[1] - places[0]} <= {name for name, *_ in gone}
+    assert places[1] - places[0]
+
+
+def test_only_the_first_room_is_dark_at_the_return():
+    whole = LAYOUTS["ring-light"]()
+    layout = replace(whole, rooms=whole.rooms[:2], room_seeds=whole.room_seeds[:2])
+    before, after = (build_scene(layout, 0, 0.1, later=later) for later in (False, True))
+    np.testing.assert_array_equal(before.vertices_m, after.vertices_m)
+    middles = [plan.centre_m for plan in layout.rooms]
+    first, second = (
+        after.vertex_colours()[near].mean() / before.vertex_colours()[near].mean()
+        for near in (np.abs(before.vertices_m[:, :2] - m).max(axis=1) < 1.9 for m in middles)
+    )
+    assert first < 0.85
+    assert second > 0.97
+
+
+def _at_origin(plan):
+    return replace(plan, centre_m=(0.0, 0.0))
+
+
+def _centre(part):
+    return tuple(np.round(bounds([part]).mean(axis=0), 6).tolist())

@@ -213,10 +213,23 @@ class MakeRoomOptions:
 
     out: Path
     """Folder to write: new, empty, or an earlier synthetic room."""
-    layout: Literal["room", "rooms", "hall", "ring", "twins", "orbit", "still"] = "room"
-    """Layout: one room, three on a corridor (rooms), twelve (hall), four that close a loop (ring),
-    three of which two are equal (twins), around a table with objects (orbit), or one room from a
-    single place (still)."""
+    layout: Literal[
+        "room",
+        "rooms",
+        "hall",
+        "ring",
+        "ring-moved",
+        "ring-light",
+        "twins",
+        "twins-objects",
+        "orbit",
+        "still",
+    ] = "room"
+    """Layout: one room, three on a corridor (rooms), twelve (hall), four that close a loop (ring;
+    with objects moved or the lamps off in the first room when the camera returns: ring-moved,
+    ring-light), three of which two are equal (twins) or have equal walls and different objects
+    (twins-objects), around a table with objects (orbit), or one room from a single place
+    (still)."""
     seed: NonNegativeInt = 0
     """Seed of furniture, textures, camera motion and sensor noise."""
     frames: PositiveInt | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ _GAP_M = 0.04
 _STEP_M = 0.1
 _FLAT_M = 0.02
 _ATTEMPTS = 40
+# Every n-th piece, the largest ones, stays where it is in a rearranged room.
+_KEPT = 3
 
 
 def _bed_group(shop: Workshop) -> list[Part]:
@@ -123,37 +125,54 @@ STYLES: dict[str, tuple[Group, ...]] = {
 _MIDDLE: dict[str, Group] = {"display": _table_of_objects}
 
 
-def furnish(plan: RoomPlan, shop: Workshop) -> list[Part]:
+def furnish(plan: RoomPlan, shop: Workshop, rearranged: bool = False) -> list[Part]:
     """Place furniture along the walls and pictures in the remaining space.
 
     Several random arrangements are tried. The first one that places all pieces is used, otherwise
     the one that places most.
+
+    Args:
+        rearranged: place all but the largest pieces elsewhere, or leave them out where there is no
+            place; walls and what hangs on them stay the same.
     """
-    pieces = [group(shop) for group in STYLES[plan.style]]
-    best: list[list[Part]] = []
+    pieces = dict(enumerate(group(shop) for group in STYLES[plan.style]))
+    best: dict[int, list[Part]] = {}
     for rng in shop.rng.spawn(_ATTEMPTS):
-        placed = _arrange(plan, pieces, rng)
+        placed = _arrange(plan, pieces, rng, _kept_clear(plan))
         if len(placed) > len(best):
             best = placed
         if len(best) == len(pieces):
             break
-    parts = [part for piece in best for part in piece]
+    middle = []
     if plan.style in _MIDDLE:
-        parts += moved(_MIDDLE[plan.style](shop), placement(*plan.centre_m))
-    return parts + _wall_hangings(plan, shop, _blocks(parts) + _kept_clear(plan))
+        middle = moved(_MIDDLE[plan.style](shop), placement(*plan.centre_m))
+    parts = _all_parts(best) + middle
+    hangings = _wall_hangings(plan, shop, _blocks(parts) + _kept_clear(plan))
+    if rearranged:
+        kept = dict(list(best.items())[: len(best) // _KEPT])
+        others = {number: pieces[number] for number in best if number not in kept}
+        taken = _kept_clear(plan) + _blocks(_all_parts(kept) + middle)
+        parts = _all_parts(kept | _arrange(plan, others, shop.rng.spawn(1)[0], taken)) + middle
+    return parts + hangings
+
+
+def _all_parts(pieces: Mapping[int, list[Part]]) -> list[Part]:
+    return [part for piece in pieces.values() for part in piece]
 
 
 def _arrange(
-    plan: RoomPlan, pieces: list[list[Part]], rng: np.random.Generator
-) -> list[list[Part]]:
-    """Place the pieces in the world; pieces without a free place are omitted."""
-    taken = _kept_clear(plan)
-    placed = []
-    for piece in pieces:
+    plan: RoomPlan,
+    pieces: Mapping[int, list[Part]],
+    rng: np.random.Generator,
+    taken: list[Box],
+) -> dict[int, list[Part]]:
+    """Place the pieces in the world outside `taken`; those without a free place are omitted."""
+    placed = {}
+    for number, piece in pieces.items():
         T = _free_place(plan, bounds(piece), _blocks(piece), taken, rng)
         if T is not None:
-            placed.append(moved(piece, T))
-            taken = taken + _blocks(placed[-1])
+            placed[number] = moved(piece, T)
+            taken = taken + _blocks(placed[number])
     return placed
 
 

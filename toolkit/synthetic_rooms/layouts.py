@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +38,14 @@ class Layout:
         room_seeds: random seed of the content of each room; rooms with the same seed, size and
             openings are identical.
         way_points: waypoints of the camera path.
+        revisit: the first room after half of the frames: the same, with most of its objects moved,
+            or with its lamps off.
     """
 
     rooms: tuple[RoomPlan, ...]
     room_seeds: tuple[int, ...]
     way_points: tuple[WayPoint, ...]
+    revisit: Literal["same", "moved", "dark"] = "same"
 
 
 def single_room() -> Layout:
@@ -103,6 +107,11 @@ def twin_rooms() -> Layout:
     The camera returns to the first of the two, so there is a true and a false loop candidate.
     """
     return _corridor_layout(("office", "living", "office"), (1, 2, 1), (0, 1, 2, 0))
+
+
+def twin_rooms_of_objects() -> Layout:
+    """As `twin_rooms`, but the twins share walls and textures only: an office and a bedroom."""
+    return _corridor_layout(("office", "living", "bedroom"), (1, 2, 1), (0, 1, 2, 0))
 
 
 def orbit_of_objects() -> Layout:
@@ -233,26 +242,29 @@ def _look_around(plan: RoomPlan, start_rad: float, turn_rad: float) -> list[WayP
     return points
 
 
-def build_parts(layout: Layout, seed: int, collection: Sequence[str] | None = None) -> list[Part]:
+def build_parts(
+    layout: Layout, seed: int, collection: Sequence[str] | None = None, later: bool = False
+) -> list[Part]:
     """Create all surfaces of a layout; see `build_scene`."""
     parts: list[Part] = []
-    for plan, look in zip(layout.rooms, layout.room_seeds, strict=True):
+    for number, (plan, look) in enumerate(zip(layout.rooms, layout.room_seeds, strict=True)):
         # Built at the origin, so that identical rooms are bit-identical before they are placed.
         shop = Workshop(np.random.default_rng([seed, 1, look]))
         at_origin = replace(plan, centre_m=(0.0, 0.0))
         room = room_shell(at_origin, shop)
         if collection is None:
-            room += furnish(at_origin, shop)
+            rearranged = later and number == 0 and layout.revisit == "moved"
+            room += furnish(at_origin, shop, rearranged)
         else:
             room += shelves_of_objects(at_origin, shop, collection)
         parts += moved(room, placement(*plan.centre_m))
     return parts
 
 
-def lamp_places(layout: Layout) -> NDArray[np.float64]:
+def lamp_places(rooms: tuple[RoomPlan, ...]) -> NDArray[np.float64]:
     """Return the centres [L, 3] of the ceiling lamps, metres; long rooms have several."""
     lamps = []
-    for plan in layout.rooms:
+    for plan in rooms:
         (x, y), (width, _) = plan.centre_m, plan.size_m
         count = max(1, round(width / 5.0))
         for number in range(count):
@@ -267,6 +279,7 @@ def build_scene(
     texel_m: float,
     texture: str = "normal",
     collection: Sequence[str] | None = None,
+    later: bool = False,
 ) -> Scene:
     """Build the textured and lit scene of a layout.
 
@@ -277,12 +290,14 @@ def build_scene(
         texture: a key of TEXTURES.
         collection: class names of rooms with shelves of objects (`collection.class_names`); None
             for furnished rooms with the classes of Replica.
+        later: as it is in the second half of the frames; see `Layout.revisit`.
     """
     contrast = TEXTURES[texture]
-    parts = build_parts(layout, seed, collection)
+    parts = build_parts(layout, seed, collection, later)
     if contrast < 1.0:
         parts = [replace(part, texture=weakened(part.texture, contrast)) for part in parts]
-    return Scene(parts, lamp_places(layout), texel_m, numbered(collection or CLASS_NAMES))
+    lit = layout.rooms[1:] if later and layout.revisit == "dark" else layout.rooms
+    return Scene(parts, lamp_places(lit), texel_m, numbered(collection or CLASS_NAMES))
 
 
 # The fraction of each texture's contrast that is kept.
@@ -293,7 +308,10 @@ LAYOUTS: dict[str, Callable[[], Layout]] = {
     "room": single_room,
     "rooms": rooms_with_corridor,
     "ring": ring_of_rooms,
+    "ring-moved": lambda: replace(ring_of_rooms(), revisit="moved"),
+    "ring-light": lambda: replace(ring_of_rooms(), revisit="dark"),
     "twins": twin_rooms,
+    "twins-objects": twin_rooms_of_objects,
     "hall": hall_of_rooms,
     "orbit": orbit_of_objects,
     "still": still_camera,

@@ -42,8 +42,10 @@ class RoomSettings:
 
     Attributes:
         layout: "room", "rooms" (three and a corridor), "hall" (twelve), "ring" (four that
-            close a loop), "twins" (two of three rooms are identical), "orbit" (around objects on
-            a table) or "still" (from one place).
+            close a loop), "ring-moved" and "ring-light" (objects moved, or lamps off, in the first
+            room when the camera returns), "twins" (two of three rooms are identical),
+            "twins-objects" (they contain different objects), "orbit" (around objects on a table)
+            or "still" (from one place).
         seed: random seed of furniture, textures, camera sway and noise, >= 0.
         frames: number of frames, distributed over the path; None for walking pace (300 for the
             default room, about 2000 for the others).
@@ -145,11 +147,17 @@ def make_room(
     writer.prepare_folder(path)
     layout = LAYOUTS[settings.layout]()
     names = settings.collection
-    scene = build_scene(layout, settings.seed, _texel_m(settings), settings.texture, names)
+    build = functools.partial(
+        build_scene, layout, settings.seed, _texel_m(settings), settings.texture, names
+    )
+    scene = build()
     class_ids = numbered(names or CLASS_NAMES)
     poses = _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
-    views = _views(scene, settings, poses)
+    later = scene
+    if layout.revisit != "same":
+        later = build(later=True)
+    views = _views(scene, settings, poses, later)
     if settings.walker:
         views = writer.with_walker_masks(path, views)
     frames: Iterable[Frame] = _frames(views, camera)
@@ -180,7 +188,7 @@ def tiny_room(
     layout = LAYOUTS[settings.layout]()
     poses = _poses(layout, settings)
     scene = _shared_scene(settings.layout, seed, _texel_m(settings))
-    made = list(_frames(_views(scene, settings, poses), settings.camera))
+    made = list(_frames(_views(scene, settings, poses, scene), settings.camera))
     return made, Trajectory(np.arange(frames) / RATE_HZ, poses)
 
 
@@ -205,15 +213,18 @@ def _poses(layout: Layout, settings: RoomSettings) -> NDArray[np.float64]:
     return hand_held_path(layout.way_points, frames, settings.share, settings.stream(_SWAY))
 
 
-def _views(scene: Scene, settings: RoomSettings, poses: NDArray) -> Iterator[RayCastView]:
-    """Yield what the camera sees along the path."""
+def _views(
+    scene: Scene, settings: RoomSettings, poses: NDArray, later: Scene
+) -> Iterator[RayCastView]:
+    """Yield what the camera sees along the path; `later` is the scene of its second half."""
     camera, sensor, walker = settings.camera, None, None
     if settings.walker:
         walker = Walker(scene, poses, _texel_m(settings), settings.stream(_WALKER))
     if settings.sensor is not None:
         sensor = Sensor(settings.sensor, camera, poses, settings.stream(_SENSOR))
     for index, T_world_camera in enumerate(poses):
-        view = scene.render(camera, T_world_camera)
+        shown = scene if 2 * index < len(poses) else later
+        view = shown.render(camera, T_world_camera)
         if walker is not None:
             view = walker.add_to(index, view, camera, T_world_camera)
         yield view if sensor is None else sensor.observe(index, view)
