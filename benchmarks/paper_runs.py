@@ -22,8 +22,21 @@ from toolkit.evaluation.metrics import flattened, read_metrics
 
 Values = dict[str, Any]
 
-# Of a quick check.
-QUICK_FRAMES, QUICK_SEEDS = 12, 1
+# Frames of each sequence in a quick check.
+QUICK_FRAMES = 12
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much of the plans is executed.
+
+    Attributes:
+        quick: only the first sequence of each group, with few frames.
+        seeds: maximum number of seeds, of rooms too.
+    """
+
+    quick: bool = False
+    seeds: int = 5
 
 
 @dataclass(frozen=True)
@@ -72,15 +85,23 @@ class Group:
     settings: Mapping[str, Values]
     seeds: int = 1
 
-    def plan(self, quick: bool) -> Values:
+    def plan(self, effort: Effort) -> Values:
         """The content of the plan."""
-        sequences = list(self.sequences.items())[: 1 if quick else None]
         return {
-            "sequences": {name: place.planned(quick) for name, place in sequences},
+            "sequences": {
+                name: place.planned(effort.quick) for name, place in self.places(effort).items()
+            },
             "settings": dict(self.settings),
-            "seeds": list(range(min(self.seeds, QUICK_SEEDS) if quick else self.seeds)),
+            "seeds": list(range(min(self.seeds, effort.seeds))),
             "resources": {"threads": 1},
         }
+
+    def places(self, effort: Effort) -> dict[str, Place]:
+        """The sequences of the plan by name."""
+        kept = [
+            entry for entry in self.sequences.items() if entry[1].room_seed < max(effort.seeds, 1)
+        ]
+        return dict(kept[: 1 if effort.quick else None])
 
 
 class PaperRuns:
@@ -90,12 +111,12 @@ class PaperRuns:
 
     Args:
         groups: by name.
-        quick: only the first sequence of each group, few frames, and one seed.
+        effort: how much of them is executed.
     """
 
-    def __init__(self, groups: Mapping[str, Group], quick: bool) -> None:
-        self._groups, self._quick = groups, quick
-        self._folder = WORK / "tables" / f"{source_digest()[:12]}{'-quick' if quick else ''}"
+    def __init__(self, groups: Mapping[str, Group], effort: Effort) -> None:
+        self._groups, self._effort = groups, effort
+        self._folder = WORK / "tables" / f"{source_digest()[:12]}{'-quick' if effort.quick else ''}"
 
     def execute(self, names: Sequence[str], processes: int) -> None:
         """Execute the plans of some groups, several at a time.
@@ -124,10 +145,10 @@ class PaperRuns:
         return [flattened(read_metrics(path)) for path in self._found(group, settings, sequence)]
 
     def expected(self, group: str, sequence: str | None = None) -> int:
-        """Number of runs with each of the settings of a group."""
+        """Number of runs with each of the settings of a group, whatever the effort."""
         plan = self._groups[group]
-        sequences = [name for name in plan.sequences if name.startswith(sequence or "")]
-        return (1 if self._quick else len(sequences)) * (QUICK_SEEDS if self._quick else plan.seeds)
+        places = self._effort.quick and plan.places(self._effort) or plan.sequences
+        return plan.seeds * sum(name.startswith(sequence or "") for name in places)
 
     def _found(self, group: str, settings: str, sequence: str | None) -> Iterator[Path]:
         folder = self._folder / group
@@ -136,13 +157,13 @@ class PaperRuns:
     def _write_plan(self, name: str) -> Path:
         path = self._folder / f"{name}.yaml"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(yaml.safe_dump(self._groups[name].plan(self._quick), sort_keys=False))
+        path.write_text(yaml.safe_dump(self._groups[name].plan(self._effort), sort_keys=False))
         return path
 
     def _remove_older(self) -> None:
         """Remove the runs of other versions of the code, which take gigabytes."""
         for folder in self._folder.parent.glob("*"):
-            same_kind = folder.is_dir() and folder.name.endswith("-quick") == self._quick
+            same_kind = folder.is_dir() and folder.name.endswith("-quick") == self._effort.quick
             if same_kind and folder != self._folder:
                 shutil.rmtree(folder)
 

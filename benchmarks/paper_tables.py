@@ -20,7 +20,7 @@ import tyro
 from benchmarks.compare_open3d import Arguments, rival_figures
 from benchmarks.paper_definitions import COLUMNS, GROUPS, TABLES, FunctionTable, PaperTable
 from benchmarks.paper_growth import growth_table
-from benchmarks.paper_runs import PaperRuns
+from benchmarks.paper_runs import Effort, PaperRuns
 from benchmarks.papers import registered, searched
 from benchmarks.report import WORK, RunStore, publish
 from benchmarks.results_file import RESULTS, Results, current_header
@@ -54,6 +54,8 @@ class Options:
     """Plans to execute; the table contains the runs of all that have been executed."""
     quick: bool = False
     """The first sequence of each plan, 12 frames and one seed: a daily check in 15 minutes."""
+    seeds: int = 5
+    """Maximum number of seeds, of rooms too; a later call can add the others."""
     processes: int = 2
     """Number of plans that are executed at the same time, one thread each."""
     out: Path = RESULTS
@@ -65,10 +67,11 @@ def main() -> None:
     options = tyro.cli(Options)
     header = current_header(range(5))
     begin = time.perf_counter()
-    runs = PaperRuns(GROUPS, options.quick)
+    seeds = 1 if options.quick else options.seeds
+    runs = PaperRuns(GROUPS, Effort(options.quick, seeds))
     runs.execute(options.groups, options.processes)
     name = "tables-quick" if options.quick else "tables"
-    functions = Functions(RunStore(WORK / f"{name}.jsonl"), options.quick)
+    functions = Functions(RunStore(WORK / f"{name}.jsonl"), seeds)
     tables = [
         run_table(table, runs) if isinstance(table, PaperTable) else functions.table(table)
         for table in TABLES
@@ -104,14 +107,14 @@ def spread_cell(runs: Sequence[Metrics], key: str | Callable[[Metrics], float | 
 class Functions:
     """Measurements that are no runs of the system, stored so that a call can be repeated."""
 
-    def __init__(self, store: RunStore, quick: bool) -> None:
-        self._store, self._quick = store, quick
+    def __init__(self, store: RunStore, seeds: int) -> None:
+        self._store, self._seeds = store, seeds
 
     def table(self, table: FunctionTable) -> Table:
         """Measure the rows of a table."""
         rows = []
         for title, job in table.rows.items():
-            seeds = range(1 if self._quick else table.seeds)
+            seeds = range(min(table.seeds, self._seeds))
             runs = [self._measured(table.kind, job, seed) for seed in seeds]
             cells = [spread_cell(runs, column) for column in table.columns.values()]
             rows.append((title, str(len(runs)), *cells, table.paper.get(title, "")))

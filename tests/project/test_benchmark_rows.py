@@ -52,7 +52,7 @@ def test_plans_of_the_papers_tables_are_valid(name: str, tmp_path, monkeypatch) 
     group = paper_definitions.GROUPS[name]
     for quick in (False, True):
         path = tmp_path / "plan.yaml"
-        path.write_text(yaml.safe_dump(group.plan(quick)))
+        path.write_text(yaml.safe_dump(group.plan(paper_runs.Effort(quick, 1 if quick else 5))))
         runs = load_plan(path).runs
         sequences, seeds = (1, 1) if quick else (len(group.sequences), group.seeds)
         assert len(runs) == sequences * seeds * len(group.settings)
