@@ -98,9 +98,7 @@ class Group:
 
     def places(self, effort: Effort) -> dict[str, Place]:
         """The sequences of the plan by name."""
-        kept = [
-            entry for entry in self.sequences.items() if entry[1].room_seed < max(effort.seeds, 1)
-        ]
+        kept = [entry for entry in self.sequences.items() if entry[1].room_seed < effort.seeds]
         return dict(kept[: 1 if effort.quick else None])
 
 
@@ -147,7 +145,7 @@ class PaperRuns:
     def expected(self, group: str, sequence: str | None = None) -> int:
         """Number of runs with each of the settings of a group, whatever the effort."""
         plan = self._groups[group]
-        places = self._effort.quick and plan.places(self._effort) or plan.sequences
+        places = plan.places(self._effort) if self._effort.quick else plan.sequences
         return plan.seeds * sum(name.startswith(sequence or "") for name in places)
 
     def _found(self, group: str, settings: str, sequence: str | None) -> Iterator[Path]:
