@@ -499,6 +499,7 @@ TABLES: tuple[PaperTable | FunctionTable, ...] = (
                 ("long", "default"),
             )
         },
-        "The whole ring, for gausem at 120x90; 120 frames of the others. Labels of real sequences are those of planes.",
+        "The whole ring, for gausem at 120x90; 120 frames of the others. Labels of real sequences "
+        "are those of planes.",
     ),
 )
