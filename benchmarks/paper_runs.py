@@ -134,6 +134,10 @@ class PaperRuns:
             for plan, status in zip(plans, pool.map(_run_many, plans), strict=True):
                 print(f"{plan.stem}: {'finished' if status == 0 else 'some runs failed'}")
 
+    def folder(self, group: str, sequence: str, settings: str, seed: int = 0) -> Path:
+        """Folder of a run."""
+        return self._folder / group / sequence / settings / f"seed{seed}"
+
     def metrics(self, group: str, settings: str, sequence: str | None = None) -> list[Metrics]:
         """Metrics of the finished runs of a group by dotted key.
 
