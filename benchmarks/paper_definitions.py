@@ -153,8 +153,8 @@ _UNTESTED: Values = {
 }
 
 GROUPS: dict[str, Group] = {
-    # Neither 40 steps of Adam nor a map of every fifth frame can follow the ring, and untested loops
-    # destroy it; given poses show what the parts of mapping are worth.
+    # Neither 40 steps of Adam nor a map of every fifth frame can follow the ring, and untested
+    # loops destroy it; given poses show what the parts of mapping are worth.
     "gausem-ablation": Group(
         {"ring-0": Place("ring-small", (120, 90))},
         {
