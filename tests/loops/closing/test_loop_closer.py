@@ -259,8 +259,10 @@ class TestBetween:
         )
         closer._between = SubmapLoops(closer._parts, options, closer._record)
         assert closer.close_between(atlas, atlas.active) and closer.loops
-        kinds = {record["kind"] for record in read_loop_log(tmp_path / "loops.jsonl")}
-        assert not kinds & {"images", "verified", "consistency", "retracted"}
+        records = read_loop_log(tmp_path / "loops.jsonl")
+        assert not {r["kind"] for r in records} & {"images", "consistency", "retracted"}
+        assert all(r["accepted"] for r in records if r["kind"] == "verified")
+        assert any(r["kind"] == "verified" for r in records)
 
     def test_it_can_be_left_out(self, frames):
         atlas, closer, registrar = closed(frames, options=ClosingOptions(between=False))
