@@ -116,20 +116,22 @@ def test_every_weighting_distinguishes_similar_places(weighting):
 
 
 def test_printed_weights_are_those_of_each_keyframes_submap():
-    """The same view matches while both submaps count alike, and no longer when one has grown."""
-    limits = replace(OPTIONS, max_landmark_distance=0.1)
+    """The same view is at distance 0 until one submap has grown; no limit rejects it then."""
     small, large = np.full(PLACES + 1, 100), np.full(PLACES + 1, 100)
     large[3] = 5000
-    for second, matches in ((small, [3]), (large, [])):
-        finder = CandidateFinder(D, THRESHOLD, limits, LandmarkOptions("paper"))
+    for second, alike in ((small, True), (large, False)):
+        finder = CandidateFinder(D, THRESHOLD, OPTIONS, LandmarkOptions("paper"))
         for number in range(PLACES + 4):
             counts = small if number < PLACES else second
             view = replace(keyframe(number), submap=number // PLACES, submap_counts=counts)
             found = finder.add(view)
-        assert accepted(found) == matches
-        restored = CandidateFinder(D, THRESHOLD, limits, LandmarkOptions("paper"))
+        match = next(c for c in found if c.match == 5 * 3)
+        assert match.accepted
+        assert (match.landmark_distance == 0.0) is alike
+        assert alike or match.landmark_distance > OPTIONS.max_landmark_distance
+        restored = CandidateFinder(D, THRESHOLD, OPTIONS, LandmarkOptions("paper"))
         restored.restore(finder.state())
-        assert accepted(restored.search(PLACES + 3)) == matches
+        assert restored.search(PLACES + 3) == found
 
 
 def test_every_considered_keyframe_is_returned_once_with_a_reason():

@@ -263,7 +263,9 @@ class CandidateFinder:
     def _evaluate(
         self, number: int, near: Neighbour, limit: float, landmarks: float | None
     ) -> LoopCandidate:
-        maximum = self.options.max_landmark_distance
+        # Vectors of the paper's weighting are not of unit length, so that no limit applies.
+        printed = self._landmarks.weighting == "paper"
+        maximum = np.inf if printed else self.options.max_landmark_distance
         accepted, reason = True, ""
         if near.distance >= limit:
             accepted = False

@@ -43,7 +43,8 @@ class CandidateOptions:
     # Nine of ten views that overlap by 60 % are nearer than 0.67 in rooms of many classes, but most
     # of those that overlap by 30 % are not.
     max_landmark_distance: PositiveFloat = 1.5
-    """Maximum distance of the unit landmark vectors of query and match; from 1.42 on all pass."""
+    """Maximum distance of the unit landmark vectors of query and match; from 1.42 on all pass. It
+    does not apply to --loops.landmarks.weighting paper, whose vectors are not of unit length."""
 
 
 @dataclass(frozen=True)
