@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from benchmarks.paper_definitions import GROUPS
+from benchmarks.paper_plans import GROUPS
 from benchmarks.paper_runs import Effort, PaperRuns
 from benchmarks.repository import ROOT
 from toolkit.evaluation.images import psnr_db

@@ -18,8 +18,9 @@ from typing import Any
 import tyro
 
 from benchmarks.compare_open3d import Arguments, rival_figures
-from benchmarks.paper_definitions import COLUMNS, GROUPS, TABLES, FunctionTable, PaperTable
+from benchmarks.paper_definitions import COLUMNS, TABLES, FunctionTable, PaperTable
 from benchmarks.paper_growth import growth_table
+from benchmarks.paper_plans import GROUPS
 from benchmarks.paper_runs import Effort, PaperRuns
 from benchmarks.papers import registered, searched
 from benchmarks.report import WORK, RunStore, publish

@@ -9,7 +9,7 @@ Parts: tracking (G-2), colour (G-3), network (H-12), registration (G-6), landmar
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -23,7 +23,7 @@ from benchmarks.registration_pairs import room as room_recording
 from benchmarks.registration_trials import judged
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
-from benchmarks.tables import Metrics, Rows, Table, table_of
+from benchmarks.tables import Metrics, part_table
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.loops import TrueViews, loop_metrics
 from toolkit.evaluation.metrics import flattened
@@ -246,7 +246,12 @@ def main() -> None:
     )
     jobs = {f"{part}: {row}": job for part in options.parts for row, job in jobs_of(part).items()}
     found = report.measured(jobs, measure)
-    report.write(*(table_of_part(part, found) for part in options.parts))
+    report.write(
+        *(
+            part_table(part, PARTS[part].columns, found, PARTS[part].title, PARTS[part].note)
+            for part in options.parts
+        )
+    )
 
 
 def jobs_of(part: PartName) -> dict[str, Values]:
@@ -259,13 +264,6 @@ def jobs_of(part: PartName) -> dict[str, Values]:
         for sequence in chosen.sequences
         for row, values in chosen.rows.items()
     }
-
-
-def table_of_part(part: PartName, found: Rows) -> Table:
-    """The rows of one part."""
-    prefix, chosen = f"{part}: ", PARTS[part]
-    rows = {name.removeprefix(prefix): found[name] for name in found if name.startswith(prefix)}
-    return replace(table_of(chosen.columns, rows, title=chosen.title), note=chosen.note)
 
 
 def measure(job: Values, seed: int) -> Metrics:

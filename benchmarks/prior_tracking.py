@@ -21,7 +21,7 @@ from benchmarks.motion_errors import path_m
 from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
-from benchmarks.tables import Metrics, table_of
+from benchmarks.tables import Metrics, part_table
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.depth_priors import correction as correction_module
@@ -126,11 +126,12 @@ def main() -> None:
     options = tyro.cli(ReportOptions)
     report = Report("prior_tracking", "Tracking on depth priors", DESCRIPTION, options)
     measured = report.measured(jobs(), measure)
-    tables = []
-    for title in TITLES:
-        rows = {n.split(": ", 1)[1]: r for n, r in measured.items() if n.startswith(f"{title}: ")}
-        tables.append(table_of(_SYSTEM_COLUMNS, rows, "row", title=TITLES[title]))
-    report.write(*tables)
+    report.write(
+        *(
+            part_table(part, _SYSTEM_COLUMNS, measured, title, first_column="row")
+            for part, title in TITLES.items()
+        )
+    )
 
 
 TITLES = {

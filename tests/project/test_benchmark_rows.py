@@ -13,6 +13,7 @@ from benchmarks import (
     loops,
     pace,
     paper_definitions,
+    paper_plans,
     paper_runs,
     paper_tables,
     real_room,
@@ -43,13 +44,13 @@ COMMANDS = [
 ]
 
 
-@pytest.mark.parametrize("name", paper_definitions.GROUPS)
+@pytest.mark.parametrize("name", paper_plans.GROUPS)
 def test_plans_of_the_papers_tables_are_valid(name: str, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("SEMSPLAT_DATA", str(tmp_path))
     for recording in recordings.RECORDINGS.values():
         (tmp_path / recording.folder).mkdir(parents=True, exist_ok=True)
     monkeypatch.setattr(paper_runs, "room", lambda name, seed: tmp_path / f"{name}-{seed}")
-    group = paper_definitions.GROUPS[name]
+    group = paper_plans.GROUPS[name]
     for quick in (False, True):
         path = tmp_path / "plan.yaml"
         path.write_text(yaml.safe_dump(group.plan(paper_runs.Effort(quick, 1 if quick else 5))))
@@ -65,7 +66,7 @@ def test_rows_of_the_papers_tables_have_runs_and_columns() -> None:
             continue
         assert set(table.columns) <= set(paper_definitions.COLUMNS)
         for row in table.rows.values():
-            group = paper_definitions.GROUPS[row.group]
+            group = paper_plans.GROUPS[row.group]
             assert row.settings in group.settings
             assert any(name.startswith(row.sequence or "") for name in group.sequences)
 
