@@ -19,7 +19,6 @@ REAL = {
 }
 _RINGS = {f"ring-{seed}": Place("ring-small", (160, 120), None, seed) for seed in range(5)}
 LONG = {
-    "ring-0": _RINGS["ring-0"],
     "redkitchen": Place("redkitchen", (160, 120), 120),
     "fr1_rpy": Place("fr1_rpy", (160, 120), 120),
     "hololens": Place("hololens", (180, 120), 120),
@@ -46,6 +45,8 @@ _GIVEN: Values = {"poses": "given"}
 _TESTED: Values = {
     "loops": {"verify": True, "pose_graph": {"confidence": 0.999, "kernel": "cauchy"}}
 }
+_CELLS: Values = {"seeding": {"choice": "cells", "max_cell": 1}}
+_NO_LANDMARKS: Values = {"landmarks": {"min_count": 10**9}}
 _MOTION: Values = {"submaps": {"allocation": {"rule": "motion"}}}
 _UNTESTED: Values = {
     "verify": False,
@@ -56,21 +57,30 @@ _UNTESTED: Values = {
 }
 
 GROUPS: dict[str, Group] = {
-    # Neither 40 steps of Adam nor a map of every fifth frame can follow the ring, and untested
-    # loops destroy it; given poses show what the parts of mapping are worth.
     "gausem-ablation": Group(
-        {"ring-0": Place("ring-small", (120, 90))},
+        {"ring-slow": Place("ring-slow", (120, 90))},
         {
             "gausem": _preset("gausem"),
+            "motion": _preset("gausem", **_MOTION),
+            "cells": _preset("gausem", mapping=_CELLS),
+            "no-landmarks": _preset("gausem", loops=_NO_LANDMARKS),
+            "no-loops": _preset("gausem", **_NO_LOOPS),
+            "no-refinement": _preset("gausem", **_GAUSEM_NO_REFINEMENT),
+            "tested": _preset("gausem", **_TESTED),
             "dense": _preset("gausem", **_DENSE),
-            "dense-no-loops": _preset("gausem", **_DENSE, **_NO_LOOPS),
-            "tested": _preset("gausem", **_DENSE, **_TESTED),
-            "given": _preset("gausem", **_GIVEN),
-            "given-motion": _preset("gausem", **_GIVEN, **_MOTION),
-            "given-cells": _preset(
-                "gausem", **_GIVEN, mapping={"seeding": {"choice": "cells", "max_cell": 1}}
-            ),
-            "given-no-refinement": _preset("gausem", **_GIVEN, **_GAUSEM_NO_REFINEMENT),
+            "dense-tested": _preset("gausem", **_DENSE, **_TESTED),
+            "default": {},
+        },
+    ),
+    # Neither 40 steps of Adam nor a map of every fifth frame can follow the fast ring; given poses
+    # show what the parts of mapping are worth.
+    "gausem-given": Group(
+        {"ring-0": Place("ring-small", (120, 90), options=_GIVEN)},
+        {
+            "gausem": _preset("gausem"),
+            "motion": _preset("gausem", **_MOTION),
+            "cells": _preset("gausem", mapping=_CELLS),
+            "no-refinement": _preset("gausem", **_GAUSEM_NO_REFINEMENT),
         },
     ),
     "ablation": Group(
@@ -88,9 +98,7 @@ GROUPS: dict[str, Group] = {
     "loops": Group(
         {name: _RINGS[name] for name in ("ring-0", "ring-1", "ring-2")},
         {
-            "descriptor": _options(
-                loops=_UNTESTED | {"landmarks": {"min_count": 10**9}}, **_NO_REFINEMENT
-            ),
+            "descriptor": _options(loops=_UNTESTED | _NO_LANDMARKS, **_NO_REFINEMENT),
             "landmarks": _options(loops=_UNTESTED, **_NO_REFINEMENT),
             "landmarks-printed": _options(
                 loops=_UNTESTED | {"landmarks": {"weighting": "paper", "counted": "gaussians"}},
@@ -137,8 +145,7 @@ GROUPS: dict[str, Group] = {
     ),
     "long": Group(LONG, {"default": {}}),
     "long-gausem": Group(
-        {name: place for name, place in LONG.items() if name != "ring-0"},
-        {"gausem": _preset("gausem")},
+        LONG | {"ring-0": Place("ring-small", (120, 90))}, {"gausem": _preset("gausem")}
     ),
     "growth": Group(
         {

@@ -36,10 +36,9 @@ papers' systems as printed, with the deviations of docs/reference/presets.md; `d
 are ours. office0 is Replica's (of 51 views, 9 cm and 6 degrees apart, which 40 steps of Adam cannot
 track: its poses are given) at 160x90, the room is synthetic (`semsplat make-room`), real sequences
 are at 160x120 (HoloLens at 180x120), rings are synthetic (four rooms, 450 frames, sensor noise) at
-160x120. ATE after SE(3) alignment;
-images of mapped views; depth L1 where rendered and measured; mIoU of all classes of the truth.
-LPIPS needs weights (`--lpips-weights`) and is left out. Times are of one thread with another
-process on the second core.
+160x120. ATE after SE(3) alignment; images of mapped views; depth L1 where rendered and measured;
+mIoU of all classes of the truth. LPIPS needs weights (`--lpips-weights`) and is left out. Times are
+of one thread with another process on the second core.
 
 Not here: ScanNet, TUM fr1/desk, fr1/room, fr2/xyz and fr3/office, and seven of eight Replica scenes
 are not on this machine. H-VIII (monocular) is in `prior_tracking.md`, H-IX (trees) in `trees-*.md`

@@ -26,6 +26,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "ring": (*_RING, "--sensor-noise"),
     "ring-ideal": _RING,
     "ring-small": ("--layout", "ring", "--frames", "450", *_SMALL),
+    # A walk slow enough for first-order trackers: 1.5 cm and up to 2 degrees per frame.
+    "ring-slow": ("--layout", "ring", "--frames", "1800", *_TINY),
     "ring-moved": ("--layout", "ring-moved", "--frames", "450", *_SMALL),
     "ring-light": ("--layout", "ring-light", "--frames", "450", *_SMALL),
     "twins-objects": ("--layout", "twins-objects", "--frames", "450", *_SMALL),
