@@ -60,6 +60,12 @@ bench: ready $(DEMO_ROOM)/unseen/cam_params.json
 QUICK ?=
 tables: ready
 	.venv/bin/python -m benchmarks.paper_tables $(QUICK)
+ifndef QUICK
+	.venv/bin/python -m benchmarks.prior_tracking
+	.venv/bin/python -m benchmarks.trees --table room
+	.venv/bin/python -m benchmarks.many_classes
+	.venv/bin/python -m benchmarks.critic
+endif
 
 lint: ready
 	.venv/bin/ruff check .

@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.pool import Pool
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -28,14 +28,17 @@ from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.registry import describe
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.options import as_plain, validated
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings, overridden
 from toolkit.slam.result import SlamResult
 
-RivalName = Literal["open3d", "opencv", "orbslam3"]
+RivalName = Literal["open3d", "opencv", "small_gicp", "orbslam3"]
 ImageSize = tuple[int, int]
 
+# Rivals that are packages of their own, not needed by the toolkit.
+_PACKAGES = ("orbslam3", "small_gicp")
 # A rival that takes longer is stopped.
 _LIMIT_S = 300
 # Depth beyond is ignored: OpenCV's default.
@@ -46,6 +49,8 @@ _ORB_TRACKED, _ORB_RECENTLY_LOST = "OK", "RECENTLY_LOST"
 # Points closer than this number of baselines are near ones, as in the examples of ORB-SLAM3; the
 # baseline is that of Kinect's projector.
 _ORB_CLOSE, _ORB_BASELINE_M = 40.0, 0.075
+# Of small_gicp, found by trying on RedKitchen, fr1/rpy and the HoloLens walk.
+_GICP_VOXEL_M, _GICP_REACH_M = 0.02, 0.3
 
 
 @dataclass(frozen=True)
@@ -57,16 +62,19 @@ class CaseSource:
         image_size: width and height in pixels; the usual ones of the sequence if None.
         case: a key of CASES.
         seed: of the choice of frames.
+        frames: number of frames from the start among which the case chooses; all if None.
     """
 
     sequence: str
     image_size: ImageSize | None
     case: str
     seed: int = 0
+    frames: int | None = None
 
     def open(self, estimate_shutter: bool = False) -> CaseDataset:
         """The frames; images are loaded on access."""
         recording, usual = _described(self.sequence)
+        recording = replace(recording, files=recording.files[: self.frames])
         size = self.image_size or usual
         return CaseDataset(recording, size, self.case, self.seed, estimate_shutter)
 
@@ -179,20 +187,64 @@ class OpenCvOdometry:
         return np.asarray(T_before_now, np.float64) if found else None
 
 
+class SmallGicpOdometry:
+    """Generalised ICP (small_gicp) between consecutive frames, started from constant velocity.
+
+    Args:
+        camera: of the frames.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self.failures = 0
+        self._camera = camera
+        self._before: tuple[Any, Any] | None = None  # points and their search tree
+        self._T_before_now = np.eye(4)
+        self._T_world_camera = np.eye(4)
+
+    def process(self, frame: Frame) -> Array:
+        """The pose of the next frame; that of the frame before if the method does not converge."""
+        import small_gicp
+
+        measured = (frame.depth_m > 0) & (frame.depth_m < _DEPTH_MAX_M)
+        points = self._camera.unproject(frame.depth_m)[measured]
+        now = small_gicp.preprocess_points(points, _GICP_VOXEL_M)
+        if self._before is not None:
+            found = small_gicp.align(
+                self._before[0],
+                now[0],
+                self._before[1],
+                self._T_before_now,
+                max_correspondence_distance=_GICP_REACH_M,
+                max_iterations=50,
+                rotation_epsilon=1e-4,
+                translation_epsilon=1e-4,
+            )
+            self.failures += not found.converged
+            self._T_before_now = found.T_target_source if found.converged else np.eye(4)
+            self._T_world_camera = se3.orthonormalise(self._T_world_camera @ self._T_before_now)
+        self._before = now
+        return self._T_world_camera
+
+
 def frame_to_frame(dataset: CaseDataset, method: FrameToFrame) -> Estimate:
     """Poses of a method that tracks each frame against the one before.
 
     A frame on which the method reports a failure is lost, and those after it are another part.
     """
     poses, part, lost = {}, {}, set()
+    times_ms = []
     for index in range(len(dataset)):
-        before = method.failures
-        T_world_camera = method.process(dataset[index])
+        frame, before = dataset[index], method.failures
+        begin = time.perf_counter()
+        T_world_camera = method.process(frame)
+        times_ms.append(1e3 * (time.perf_counter() - begin))
         if method.failures > before:
             lost.add(index)
         else:
             poses[index], part[index] = T_world_camera.copy(), len(lost)
-    return Estimate(dataset.timestamps_s, poses, largest_first(part), frozenset(lost))
+    figures = {"frame_ms": float(np.median(times_ms))}
+    found = Estimate(dataset.timestamps_s, poses, largest_first(part), frozenset(lost))
+    return replace(found, figures=figures)
 
 
 def largest_first(part: Mapping[int, int]) -> dict[int, int]:
@@ -252,6 +304,8 @@ def rival_estimate(rival: RivalName, source: CaseSource) -> Estimate:
         return open3d_odometry(dataset)
     if rival == "opencv":
         return frame_to_frame(dataset, OpenCvOdometry(dataset.camera.matrix))
+    if rival == "small_gicp":
+        return frame_to_frame(dataset, SmallGicpOdometry(dataset.camera))
     return orbslam3(dataset)
 
 
@@ -263,7 +317,7 @@ class RivalProcess:
 
     def estimate(self, rival: RivalName, source: CaseSource) -> Estimate | str:
         """What a rival finds, or in a few words why it finds nothing."""
-        if rival == "orbslam3" and importlib.util.find_spec("orbslam3") is None:
+        if rival in _PACKAGES and importlib.util.find_spec(rival) is None:
             return "not installed"
         if self._pool is None:
             # A forked process would lack the threads of this one.

@@ -150,7 +150,15 @@ _TUM = {
     "hier-slam": "ATE 5.62 (TUM, 5 sequences)",
     "gausem": "ATE 2.83, PSNR 27.48, SSIM 0.861 (TUM, 5 sequences)",
 }
-_RIVALS = ("dense-slam", "dense-slam-tuned", "odometry", "odometry-planes")
+_RIVALS = {
+    "Open3D dense-slam": "dense-slam",
+    "Open3D dense-slam-tuned": "dense-slam-tuned",
+    "Open3D odometry": "odometry",
+    "Open3D odometry-planes": "odometry-planes",
+    "OpenCV odometry": "opencv",
+    "small_gicp": "small_gicp",
+    "ORB-SLAM3": "orbslam3",
+}
 _SEARCH = PARTS["landmarks"]
 
 TABLES: tuple[PaperTable | FunctionTable, ...] = (
@@ -181,20 +189,29 @@ TABLES: tuple[PaperTable | FunctionTable, ...] = (
     FunctionTable(
         "Rivals on the same frames",
         "rival",
-        {"ATE cm": "ate_rmse_cm", "ms per frame": "frame_ms", "peak MB": "peak_memory_mb"},
         {
-            f"{name}, Open3D {rival}": {
+            "ATE cm": "ate_rmse_cm",
+            "failures": "failures",
+            "ms per frame": "frame_ms",
+            "peak MB": "peak_memory_mb",
+        },
+        {
+            f"{name}, {title}": {
                 "sequence": place.name,
                 "size": place.size,
                 "frames": place.frames,
                 "rival": rival,
             }
             for name, place in REAL.items()
-            for rival in _RIVALS
+            for title, rival in _RIVALS.items()
         },
         1,
-        note="As in `benchmarks.compare_open3d`: dense SLAM with 1 cm voxels and its own or more "
-        "iterations; frame-to-frame odometry, hybrid or point-to-plane.",
+        note="Open3D as in `benchmarks.compare_open3d`: dense SLAM with 1 cm voxels and its own or "
+        "more iterations; frame-to-frame odometry, hybrid or point-to-plane. OpenCV's odometry and "
+        "ORB-SLAM3 as in `benchmarks.motion`, the latter slowly enough for its mapping thread and "
+        "at the sequence's size there; small_gicp: generalised ICP between consecutive frames. "
+        "n/a: no pose, or not installed (`pip install small_gicp`, `pip install --no-deps "
+        "orbslam3-python`).",
     ),
     PaperTable(
         "H-VI: time per iteration and frame of Hier-SLAM++, by code",

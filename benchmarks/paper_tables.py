@@ -13,11 +13,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import tyro
 
 from benchmarks.compare_open3d import Arguments, rival_figures
+from benchmarks.motion_methods import CaseSource, RivalName, RivalProcess
 from benchmarks.paper_definitions import COLUMNS, TABLES, FunctionTable, PaperTable
 from benchmarks.paper_growth import growth_table
 from benchmarks.paper_plans import GROUPS
@@ -25,6 +26,7 @@ from benchmarks.paper_runs import Effort, PaperRuns
 from benchmarks.papers import registered, searched
 from benchmarks.report import WORK, RunStore, publish
 from benchmarks.results_file import RESULTS, Results, current_header
+from benchmarks.silent_errors import motion_metrics
 from benchmarks.tables import MISSING, Metrics, Table
 
 DESCRIPTION = """\
@@ -140,12 +142,32 @@ def _searched(job: Mapping[str, Any], seed: int) -> Metrics:
 
 
 def _rival(job: Mapping[str, Any], seed: int) -> Metrics:
-    """One of Open3D's methods, in a process of its own."""
+    """Another system, in a process of its own."""
+    if job["rival"] in get_args(RivalName):
+        return _tracked_by_rival(job)
     arguments = Arguments(
         sequence=job["sequence"], image_size=tuple(job["size"]), max_frames=job["frames"]
     )
     with tempfile.TemporaryDirectory() as folder:
         return dict(rival_figures(job["rival"], arguments, Path(folder), seed))
+
+
+def _tracked_by_rival(job: Mapping[str, Any]) -> Metrics:
+    """A method of the benchmark of motion; no metrics if it finds nothing."""
+    rival = job["rival"]
+    # At 160x120, ORB-SLAM3 finds too few features to begin.
+    size = None if rival == "orbslam3" else job["size"]
+    source = CaseSource(job["sequence"], size, "stride 1", frames=job["frames"])
+    processes = RivalProcess()
+    try:
+        found = processes.estimate(rival, source)
+    finally:
+        processes.close()
+    if isinstance(found, str):
+        print(f"{rival}: {found}", flush=True)
+        return {}
+    metrics = motion_metrics(found, source.open().truth)
+    return metrics | {"ate_rmse_cm": metrics["ate_cm"], "failures": metrics["frames_lost"]}
 
 
 MEASURES: dict[str, Callable[[Mapping[str, Any], int], Metrics]] = {
