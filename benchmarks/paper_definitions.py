@@ -364,7 +364,6 @@ TABLES: tuple[PaperTable | FunctionTable, ...] = (
             "w/o semantic initialisation": RunRow(
                 "gausem-ablation", "cells", None, "28.95, 0.870, 85.97, 6.90"
             ),
-            "w/o landmarks": RunRow("gausem-ablation", "no-landmarks"),
             "w/o loop closure": RunRow(
                 "gausem-ablation", "no-loops", None, "27.51, 0.850, 82.05, 8.21"
             ),
@@ -372,8 +371,6 @@ TABLES: tuple[PaperTable | FunctionTable, ...] = (
                 "gausem-ablation", "no-refinement", None, "27.81, 0.852, 83.21, 7.42"
             ),
             "with tests of loops": RunRow("gausem-ablation", "tested"),
-            "with the dense tracker": RunRow("gausem-ablation", "dense"),
-            "with both": RunRow("gausem-ablation", "dense-tested"),
             "default": RunRow("gausem-ablation", "default"),
         },
         "One ring of rooms at 120x90, 1.5 cm and up to 2 degrees per frame.",

@@ -40,13 +40,11 @@ def _coded(kind: str) -> Values:
 _NO_LOOPS: Values = {"loops": {"use": False}}
 _NO_REFINEMENT: Values = {"mapping": {"final_iterations": 0}}
 _GAUSEM_NO_REFINEMENT: Values = {"mapping": {"final_iterations": 0, "final_anchors": False}}
-_DENSE: Values = {"tracking": {"kind": "dense", "detect_lost": True}}
 _GIVEN: Values = {"poses": "given"}
 _TESTED: Values = {
     "loops": {"verify": True, "pose_graph": {"confidence": 0.999, "kernel": "cauchy"}}
 }
 _CELLS: Values = {"seeding": {"choice": "cells", "max_cell": 1}}
-_NO_LANDMARKS: Values = {"landmarks": {"min_count": 10**9}}
 _MOTION: Values = {"submaps": {"allocation": {"rule": "motion"}}}
 _UNTESTED: Values = {
     "verify": False,
@@ -63,12 +61,9 @@ GROUPS: dict[str, Group] = {
             "gausem": _preset("gausem"),
             "motion": _preset("gausem", **_MOTION),
             "cells": _preset("gausem", mapping=_CELLS),
-            "no-landmarks": _preset("gausem", loops=_NO_LANDMARKS),
             "no-loops": _preset("gausem", **_NO_LOOPS),
             "no-refinement": _preset("gausem", **_GAUSEM_NO_REFINEMENT),
             "tested": _preset("gausem", **_TESTED),
-            "dense": _preset("gausem", **_DENSE),
-            "dense-tested": _preset("gausem", **_DENSE, **_TESTED),
             "default": {},
         },
     ),
@@ -98,7 +93,9 @@ GROUPS: dict[str, Group] = {
     "loops": Group(
         {name: _RINGS[name] for name in ("ring-0", "ring-1", "ring-2")},
         {
-            "descriptor": _options(loops=_UNTESTED | _NO_LANDMARKS, **_NO_REFINEMENT),
+            "descriptor": _options(
+                loops=_UNTESTED | {"landmarks": {"min_count": 10**9}}, **_NO_REFINEMENT
+            ),
             "landmarks": _options(loops=_UNTESTED, **_NO_REFINEMENT),
             "landmarks-printed": _options(
                 loops=_UNTESTED | {"landmarks": {"weighting": "paper", "counted": "gaussians"}},
