@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from toolkit.datasets.findings import quick_findings
-from toolkit.datasets.registration_check import depth_edges, measure_registration
+from toolkit.datasets.registration_check import (
+    RegistrationReport,
+    depth_edges,
+    measure_registration,
+)
 from toolkit.datasets.registry import open_dataset
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
@@ -59,6 +63,40 @@ def test_mispaired_images_are_detected():
     pairs = [(scene(i), scene(i + 100)) for i in range(5)]
     frames = [dataclasses.replace(a, depth_m=b.depth_m) for a, b in pairs]
     assert "do not agree for any shift" in measure_registration(frames).verdict()
+
+
+def small_report(**values) -> RegistrationReport:
+    """What 24 registered frames of a fast walk through noisy rooms give at 160x120."""
+    measured = {
+        "shift_px": np.array([[1.0, -0.5], [0.5, 1.0], [0.0, -1.0], [1.0, -1.5], [-1.0, -2.5]]),
+        "prominence": np.array([2.3, 2.5, 2.7, 2.4, 2.4]),
+        "advantage": np.array([0.13, 0.14, 0.09, 0.31, 0.5]),
+        "near_zero": 1.14,
+        "edge_pixels": 24614,
+        "width": 160,
+    }
+    return RegistrationReport(**{**measured, **values})
+
+
+def test_small_blurred_images_pass_if_each_frame_correlates_near_zero_shift():
+    assert small_report().verdict() is None
+    assert "do not agree" in small_report(near_zero=0.9).verdict()
+    assert "do not agree" in small_report(shift_px=np.full((5, 2), 4.0)).verdict()
+    assert "do not agree" in small_report(width=320).verdict()
+
+
+def test_shift_of_two_pixels_of_a_small_image_is_no_finding():
+    clear = {"prominence": np.full(5, 3.4), "advantage": np.full(5, 0.4)}
+    shifted = np.tile([2.0, -1.0], (5, 1))
+    assert small_report(shift_px=shifted, **clear).verdict() is None
+    assert "shifted" in small_report(shift_px=1.5 * shifted, **clear).verdict()
+
+
+def test_frames_correlate_near_zero_shift_if_they_are_registered():
+    frames = [scene(i) for i in range(5)]
+    paired = [dataclasses.replace(f, depth_m=scene(i + 50).depth_m) for i, f in enumerate(frames)]
+    assert measure_registration(frames).near_zero > 3.0
+    assert measure_registration(paired).near_zero < 1.5
 
 
 def test_scene_without_edges_has_no_verdict():
