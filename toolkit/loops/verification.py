@@ -38,16 +38,18 @@ class VerificationLimits:
     min_information: float = 1e4
 
 
-# Limits that every registration keeps that has converged to finite values.
-NO_VERIFICATION = VerificationLimits(0.0, 0.0, 0.0, 1e9, 1e9, 0.0)
-
-
 def rejection_reason(
-    result: RegistrationResult, limits: VerificationLimits = VerificationLimits()
+    result: RegistrationResult, limits: VerificationLimits | None = VerificationLimits()
 ) -> str:
-    """Return why a registration is rejected as a loop; empty if it passes."""
+    """Return why a registration is rejected as a loop; empty if it passes.
+
+    Args:
+        limits: None accepts every registration that has converged.
+    """
     if not result.converged:
         return result.reason or "registration did not converge"
+    if limits is None:
+        return ""
     if result.overlap < limits.min_overlap:
         return f"only {100 * result.overlap:.0f} % overlap"
     if result.inliers < limits.min_inliers:

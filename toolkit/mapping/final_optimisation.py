@@ -11,7 +11,6 @@ from torch import Tensor
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
-from toolkit.mapping.view_features import FeatureLoss
 from toolkit.submaps.submap import Submap
 
 # Number of neighbours that a plane is fitted to. With 32, walls and renderings are equally good.
@@ -61,7 +60,6 @@ def refine(
     optimisation: MapOptimisation,
     options: MapperOptions,
     generator: np.random.Generator,
-    feature: FeatureLoss | None = None,
 ) -> None:
     """Optimise a map over all keyframes, each equally often, in random order.
 
@@ -69,7 +67,6 @@ def refine(
 
     Args:
         generator: chooses the order.
-        feature: additional loss of image features, or None.
     """
     optimiser, count = submap.optimiser, len(submap.keyframes)
     steps_before, start_rate = optimiser.steps, 1.0
@@ -78,7 +75,7 @@ def refine(
     removed_steps = steps_before - optimiser.steps
     objective = Objective(
         adjust_poses=options.final_poses or options.bundle_adjustment,
-        feature=feature,
+        compare_features=True,
     )
     rounds, surfaces = options.final_iterations, None
     if rounds:

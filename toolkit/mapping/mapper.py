@@ -79,7 +79,6 @@ class Mapper:
 
     Attributes:
         exposures: estimates those of keyframes.
-        feature_loss: of the final refinement; None without.
         deferred: steps that wait for `take_deferred_step`; None if they are taken at once.
     """
 
@@ -105,13 +104,18 @@ class Mapper:
         self._recorder = recorder or NullRecorder()
         self._observations = KeyframeImages(self.device)
         self._free_space = FreeSpace()
-        self.feature_loss: FeatureLoss | None = None
+        feature_loss = None
         if self.options.final_feature > 0:
             features = ViewFeatures(describer or ViewDescriber(BuiltinEncoder()), self.semantics)
-            self.feature_loss = FeatureLoss(features, self.options.final_feature)
+            feature_loss = FeatureLoss(features, self.options.final_feature)
         self._densification = Densification(self.options, self.semantics, self._generator)
         self._optimisation = MapOptimisation(
-            self.options, self.semantics, self._backend, self._observations, self._recorder
+            self.options,
+            self.semantics,
+            self._backend,
+            self._observations,
+            self._recorder,
+            feature_loss,
         )
 
     def first_submap(self) -> Submap:
@@ -292,7 +296,7 @@ class Mapper:
     ) -> tuple[float, GaussianGradients]:
         """Loss of the final refinement on a keyframe; see `MapOptimisation.gradients`."""
         loss, gradients, _ = self._optimisation.gradients(
-            gaussians, keyframe, progress, self.feature_loss
+            gaussians, keyframe, progress, compare_features=True
         )
         return loss, gradients
 
@@ -321,7 +325,7 @@ class Mapper:
         if self.options.fill_holes:
             with self._recorder.timed(Stage.HOLE_FILLING):
                 self._fill_holes(submap)
-        refine(submap, self._optimisation, self.options, self._generator, self.feature_loss)
+        refine(submap, self._optimisation, self.options, self._generator)
         self._clear_free_space(submap, T_map_cameras)
         self._densification.prune(submap)
 

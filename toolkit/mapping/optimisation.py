@@ -105,12 +105,12 @@ class Objective:
 
     Attributes:
         adjust_poses: optimise the poses of keyframes too, except the first keyframe's.
-        feature: additional loss of image features, or None.
+        compare_features: add the loss of image features.
         rate_factor: factor of the learning rates of the Gaussians.
     """
 
     adjust_poses: bool = False
-    feature: FeatureLoss | None = None
+    compare_features: bool = False
     rate_factor: float = 1.0
 
 
@@ -119,6 +119,7 @@ class MapOptimisation:
 
     Args:
         observations: cache of keyframe images on the map's device.
+        feature_loss: of image features, which some objectives add.
     """
 
     def __init__(
@@ -128,8 +129,10 @@ class MapOptimisation:
         backend: Backend,
         observations: KeyframeImages,
         recorder: Recorder,
+        feature_loss: FeatureLoss | None = None,
     ) -> None:
         self._options, self._semantics = options, semantics
+        self._feature_loss = feature_loss
         self._backend, self._observations, self._recorder = backend, observations, recorder
         rates = LearningRates()
         self._adam = SparseAdam(replace(rates, features=rates.features * semantics.unit))
@@ -147,7 +150,7 @@ class MapOptimisation:
             progress: number of this step and total number of steps of the call.
         """
         loss, gradients, with_features = self.gradients(
-            submap.gaussians, keyframe, progress, objective.feature
+            submap.gaussians, keyframe, progress, objective.compare_features
         )
         with self._recorder.timed(Stage.MAP_UPDATE):
             names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))
@@ -164,19 +167,20 @@ class MapOptimisation:
         gaussians: GaussianCloud,
         keyframe: Keyframe,
         progress: tuple[int, int],
-        feature: FeatureLoss | None = None,
+        compare_features: bool = False,
     ) -> tuple[float, GaussianGradients, bool]:
         """Compute the mapping loss of a keyframe at its pose, and its derivatives.
 
         Args:
             gaussians: in the frame of the keyframe's pose.
             progress: see `step`.
-            feature: additional loss of image features, or None.
+            compare_features: add the loss of image features, if there is one.
 
         Returns:
             The loss of the images, without that of labels; the derivatives; and whether the
             feature channels have one.
         """
+        feature = self._feature_loss if compare_features else None
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         observed = self._observations.of(keyframe)
         rgb, depth_m, labels = keyframe.observed(observed)

@@ -29,7 +29,7 @@ from toolkit.loops.pose_graph.options import PoseGraphOptions
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.loops.registration.result import RegistrationResult, failed
 from toolkit.loops.relocalisation import LastPosition, Relocaliser
-from toolkit.loops.verification import NO_VERIFICATION, VerificationLimits
+from toolkit.loops.verification import VerificationLimits
 from toolkit.mapping.boundary import start_next
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import MapperOptions
@@ -252,8 +252,7 @@ class TestBetween:
         untested = PoseGraphOptions(confidence=1.0, kernel="none")
         closer._parts = replace(
             closer._parts,
-            tests=False,
-            verification=NO_VERIFICATION,
+            verification=None,
             pose_graph=untested,
             optimiser=PoseGraphOptimiser(untested),
         )

@@ -21,7 +21,7 @@ from toolkit.loops.pose_graph.noise import path_between
 from toolkit.loops.registration.factory import build_fine, needs_describer
 from toolkit.loops.registration.result import RegistrationResult, register_pair
 from toolkit.loops.registration.views import ViewRenderer
-from toolkit.loops.verification import NO_VERIFICATION, VerificationLimits, rejection_reason
+from toolkit.loops.verification import VerificationLimits, rejection_reason
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import map_device
 from toolkit.runs.building import refinement_describer
@@ -160,7 +160,7 @@ def register_submap_pair(task: PairTask) -> PairResult:
     first, second = source.submap(task.first), source.submap(task.second)
     T_first_second = se3.inverse(first.T_world_submap) @ second.T_world_submap
     result = register_pair(registrar, first, second, T_first_second)
-    reason = rejection_reason(result, VerificationLimits() if loops.verify else NO_VERIFICATION)
+    reason = rejection_reason(result, VerificationLimits() if loops.verify else None)
     return PairResult(task.first, task.second, result, reason)
 
 

@@ -27,7 +27,7 @@ from toolkit.loops.registration.factory import build_fine, build_registrar, need
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.views import ViewRenderer
 from toolkit.loops.relocalisation import Relocaliser
-from toolkit.loops.verification import NO_VERIFICATION, VerificationLimits
+from toolkit.loops.verification import VerificationLimits
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import backend
 from toolkit.semantics.palette import Palette
@@ -93,12 +93,11 @@ def build_loop_closer(
         nearby=build_fine(registration, renderer, differentiable),
         matcher=PairMatcher(options.pairs, tests=options.verify),
         relocaliser=Relocaliser(detector, options.relocalisation),
-        verification=VerificationLimits() if options.verify else NO_VERIFICATION,
+        verification=VerificationLimits() if options.verify else None,
         pose_graph=options.pose_graph,
         noise=OdometryNoise(),
         loop_noise=LoopNoise(),
         optimiser=PoseGraphOptimiser(options.pose_graph),
-        tests=options.verify,
     )
     return LoopCloser(detector, parts, options.closing, log, recorder)
 

@@ -22,20 +22,20 @@ class ClosingParts:
         nearby: registers submaps whose relative pose is approximately known.
         matcher: verifies pairs of keyframes from their images.
         relocaliser: relocalises lost frames.
-        verification, pose_graph: conditions that a loop edge must satisfy.
+        verification: limits that registrations must keep, and their images confirm, to become
+            loops; None if loops are not tested (G).
+        pose_graph: conditions that a loop edge must satisfy.
         noise: noise of odometry edges.
         loop_noise: noise of loop edges.
         optimiser: optimises pose graphs.
-        tests: whether the images of keyframes must confirm loops.
     """
 
     registrar: Registrar
     nearby: Registrar
     matcher: PairMatcher
     relocaliser: Relocaliser
-    verification: VerificationLimits
+    verification: VerificationLimits | None
     pose_graph: PoseGraphOptions
     noise: OdometryNoise
     loop_noise: LoopNoise
     optimiser: PoseGraphOptimiser
-    tests: bool = True

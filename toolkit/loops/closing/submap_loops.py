@@ -126,7 +126,7 @@ class SubmapLoops:
         Submaps are registered only if the images of some pair match. If the registration is
         rejected, verified images give the edge. Without tests (G), the registration is the edge.
         """
-        if not self._parts.tests:
+        if self._parts.verification is None:
             edge = self.register(atlas, *submaps, odometry)
             if edge is not None:
                 self.confirm(atlas, edge, pairs)
@@ -206,7 +206,7 @@ class SubmapLoops:
             points = se3.transform_points(edge.T_first_second, query.points_in_map())
             shared = float(match.reaches(points).mean()) if len(points) else 0.0
             T_first_query = edge.T_first_second @ query.T_map_camera
-            enough = shared >= self._options.min_shared or not self._parts.tests
+            enough = shared >= self._options.min_shared or self._parts.verification is None
             reason = "" if enough else f"only {100 * shared:.0f} % of the view is shared"
             values = {
                 "first": edge.first,
