@@ -67,13 +67,6 @@ class Methods:
             "SGR, first-order fine, no feature term": lambda: self._both(
                 self._sgr(RegistrationOptions(optimiser="first-order", feature=0.0))
             ),
-            "SGR, first-order fine, colour and depth": lambda: self._both(
-                self._sgr(
-                    RegistrationOptions(
-                        optimiser="first-order", feature=0.0, semantic=0.0, semantic_gate=False
-                    )
-                )
-            ),
             "FPFH, fast global, ICP": lambda: self._alone(self._clouds(search="fast")),
             "FPFH, RANSAC, coloured ICP": lambda: self._alone(self._clouds(icp="coloured")),
         }

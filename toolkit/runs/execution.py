@@ -112,7 +112,7 @@ def _execute(
     slam = build_slam(source.frames, settings, folder, recorder, source.correction)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
     system = slam if paced is None else paced
-    folder.check_taxonomy(slam.result().taxonomy)
+    folder.check_taxonomy(slam.taxonomy)
     start = _restore(system, dataset, folder)
     checkpoints = CheckpointWriter(folder, background=paced is not None)
     costs = FrameCostRecorder(recorder)

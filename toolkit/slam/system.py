@@ -28,6 +28,7 @@ from toolkit.refinement.anchors import align_anchors
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.parts import separate
 from toolkit.refinement.within import refine_submaps
+from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.collection import collected, parts_of, poses_beside
 from toolkit.slam.frame_preparation import FramePreparation, FrameSources
@@ -268,12 +269,16 @@ class Slam:
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
         return self.result()
 
+    @property
+    def taxonomy(self) -> Taxonomy | None:
+        """The classes of the map; None without semantics."""
+        labeller = self._preparation.labeller
+        return None if labeller is None else labeller.taxonomy
+
     def result(self) -> SlamResult:
         """The current state of the run."""
-        labeller = self._preparation.labeller
-        taxonomy = None if labeller is None else labeller.taxonomy
         semantics, maps = self.mapper.semantics, self._fused
-        found = collected(self.atlas, self._path, self._closer, maps, semantics, taxonomy)
+        found = collected(self.atlas, self._path, self._closer, maps, semantics, self.taxonomy)
         return self.unit.result_in_metres(found)
 
     def store_in_metres(self) -> None:
