@@ -28,6 +28,8 @@ class Frame:
             from a depth prior; None if it does nowhere.
         readout_s: time in seconds from the exposure of the first row to that of the last, of both
             images; 0 for a global shutter.
+        fault: why its files could not be read; empty if they could. The images are black and
+            without depth otherwise.
 
     Raises:
         ValueError: shapes or types disagree with the camera.
@@ -41,6 +43,7 @@ class Frame:
     labels: NDArray[np.int32] | None = None
     inferred: NDArray[np.bool_] | None = None
     readout_s: float = 0.0
+    fault: str = ""
 
     def __post_init__(self) -> None:
         height, width = self.camera.height, self.camera.width

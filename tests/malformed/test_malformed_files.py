@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 from itertools import cycle
 
 import corruptions as damage
 import numpy as np
 import pytest
+
+from toolkit.cli.main import main
 
 JOBS = {
     "run": "run --dataset.kind folder --dataset.path data --out out",
@@ -59,13 +62,11 @@ TARGETS = [
         {"other size": damage.edit("width: 64", "width: 32")},
     ),
     ("data/rgb/0000.png", ["run"], IMAGE),
-    ("data/rgb/0003.png", ["run"], {n: IMAGE[n] for n in ("empty", "truncated", "other size")}),
     (
         "data/depth/0000.png",
         ["run"],
         IMAGE | {"colour": damage.image(COLOUR)},
     ),
-    ("data/depth/0004.png", ["run"], {n: IMAGE[n] for n in ("garbage", "directory")}),
     ("data/labels/0000.png", ["run"], IMAGE | {"colour": damage.image(COLOUR)}),
     (
         "data/labels/classes.json",
@@ -257,6 +258,23 @@ def test_a_damaged_file_is_named(place, refused, job, file, corruption, other_na
         assert is_named(file, line)
     else:
         assert other_name in line
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        *(("data/rgb/0003.png", name) for name in ("empty", "truncated", "other size")),
+        *(("data/depth/0004.png", name) for name in ("garbage", "directory")),
+    ],
+)
+def test_a_run_continues_without_a_damaged_frame(place, monkeypatch, caplog, file, name):
+    monkeypatch.chdir(place)
+    IMAGE[name](place / file)
+    assert main(JOBS["run"].split()) == 0
+    assert is_named(file, caplog.text)
+    states = json.loads((place / "out/frames.json").read_text())["states"]
+    assert [state["state"] for state in states].count("lost") == 1
+    assert (place / "out/metrics.json").is_file()
 
 
 def is_named(file: str, line: str) -> bool:

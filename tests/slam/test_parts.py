@@ -196,6 +196,16 @@ def test_a_frame_out_of_order_is_lost_with_the_reason(room, time_s, reason):
     assert len(slam.finish().trajectory) == 5
 
 
+def test_a_frame_that_cannot_be_read_is_lost_with_the_reason(room):
+    slam, frames = new_slam(), list(room.frames[:6])
+    black = np.zeros_like(frames[3].rgb), np.zeros_like(frames[3].depth_m)
+    frames[3] = replace(frames[3], rgb=black[0], depth_m=black[1], fault="3.png is truncated")
+    results = fed(slam, frames)
+    assert [result.lost for result in results] == [False] * 3 + [True] + [False] * 2
+    assert slam.result().lost_frames == {3: "3.png is truncated"}
+    assert slam.camera_path.unreliable_in_a_row == 0
+
+
 def test_a_dropped_frame_out_of_order_has_no_pose(room):
     slam = new_slam()
     fed(slam, room.frames[:3])

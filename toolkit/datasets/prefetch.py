@@ -5,20 +5,23 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from toolkit.frame import Frame
-
-if TYPE_CHECKING:
-    from toolkit.datasets.base import Dataset
 
 _END = object()
 # Interval at which a blocked reader checks whether the iterator was closed.
 _POLL_S = 0.05
 
 
+class Frames(Protocol):
+    """Frames by their index."""
+
+    def __getitem__(self, index: int) -> Frame: ...
+
+
 def prefetched(
-    dataset: Dataset,
+    dataset: Frames,
     indices: Iterable[int],
     ahead: int = 4,
     prepare: Callable[[Frame], None] | None = None,

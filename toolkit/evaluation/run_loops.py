@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.datasets.base import Dataset
+from toolkit.datasets.faults import fault_tolerant
 from toolkit.datasets.prefetch import prefetched
 from toolkit.evaluation.loop_poses import edge_errors, edge_metrics
 from toolkit.evaluation.loops import (
@@ -103,14 +104,13 @@ def _edge(record: dict[str, Any]) -> tuple[str, int, int]:
 def true_views(dataset: Dataset) -> TrueViews:
     """Collect ground-truth poses and observed points of all frames of a dataset.
 
-    Raises:
-        DatasetError: a frame cannot be read.
+    A frame that cannot be read has no pose.
     """
     truth = dataset.ground_truth
     assert truth is not None
     poses, points, far_m, times_s = [], [], [], []
-    for frame in prefetched(dataset, range(len(dataset))):
-        T_world_camera = truth.at(frame.timestamp_s)
+    for frame in prefetched(fault_tolerant(dataset), range(len(dataset))):
+        T_world_camera = None if frame.fault else truth.at(frame.timestamp_s)
         poses.append(np.full((4, 4), np.nan) if T_world_camera is None else T_world_camera)
         points.append(observed_points(frame.camera, frame.depth_m, _POINTS))
         far_m.append(far_depth_m(frame.depth_m))

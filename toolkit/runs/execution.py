@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.datasets.faults import fault_tolerant
 from toolkit.datasets.prefetch import prefetched
 from toolkit.depth_priors.factory import build_provider
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
@@ -129,7 +130,7 @@ def _execute(
             checkpoints.save(system, 0)
         indices = range(start or 0, len(dataset))
         expected = ExpectedTime(settings, dataset.camera, indices, recorder)
-        read = prefetched(source.frames, indices, prepare=slam.prepare)
+        read = prefetched(fault_tolerant(source.frames), indices, prepare=slam.prepare)
         frames = progress(read, len(dataset), indices.start)
         if paced is not None:
             frames = _arriving(frames, paced, settings)

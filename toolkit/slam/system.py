@@ -146,7 +146,8 @@ class Slam:
             may_map: False for a held-out view, which does not change the map.
 
         Returns:
-            The pose of the frame; without one if its time is not after that of the frame before.
+            The pose of the frame; without one if its files could not be read, or its time is not
+            after that of the frame before.
         """
         if self._unit is None:
             self._unit = LengthUnit.of_frame(frame)
@@ -154,9 +155,9 @@ class Slam:
 
     def _processed(self, frame: Frame, may_map: bool) -> FrameResult:
         """Track and map a frame, in the unit of the system."""
-        if disorder := self._path.disorder(frame):
-            self._path.add_lost(frame, disorder, tried=False)
-            return FrameResult(frame.index, None, not_tracked(disorder))
+        if unusable := frame.fault or self._path.disorder(frame):
+            self._path.add_lost(frame, unusable, tried=False)
+            return FrameResult(frame.index, None, not_tracked(unusable))
         observed, frame = frame, self._preparation.before_tracking(frame)
         located = self._locate(frame, may_map)
         T_map_camera, tracking = located.T_map_camera, located.tracking
