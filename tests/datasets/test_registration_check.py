@@ -102,6 +102,7 @@ def test_frames_correlate_near_zero_shift_if_they_are_registered():
 def test_scene_without_edges_has_no_verdict():
     wall = dataclasses.replace(scene(0), depth_m=np.full((240, 320), 2.0, np.float32))
     assert measure_registration([wall]).verdict() is None
+    assert measure_registration([]).verdict() is None
 
 
 def test_edges_are_on_the_near_side_even_next_to_missing_depth():

@@ -105,7 +105,7 @@ def evenly_spaced_frames(count: int, most: int) -> list[int]:
 def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
     """Correlate depth edges with colour gradients over frames of one camera."""
     total = np.zeros((5, 2 * _REACH + 1, 2 * _REACH + 1))
-    standardised = []
+    standardised, frames_seen = np.zeros_like(total[0]), 0
     edge_pixels, width = 0, _WIDTH
     for frame in frames:
         width = frame.camera.width
@@ -118,9 +118,10 @@ def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
         edge_pixels += int(edges.sum())
         quarters = [_correlation(edges * mask, gradient) for mask in _quarters(edges.shape)]
         total[1:] += quarters
-        standardised.append(_standardised(np.sum(quarters, axis=0)))
+        standardised += _standardised(np.sum(quarters, axis=0))
+        frames_seen += 1
     total[0] = total[1:].sum(axis=0)
-    return _report(total, np.mean(standardised, axis=0), width, edge_pixels)
+    return _report(total, standardised / max(frames_seen, 1), width, edge_pixels)
 
 
 def depth_edges(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
