@@ -53,7 +53,7 @@ _ACCEPT_ALL: Values = {
 # No class is ever seen as often, so that landmarks have no effect.
 _NO_LANDMARKS: Values = {"landmarks": {"min_count": 10**9}}
 # Candidates below the encoder's distance, ordered by landmarks.
-_FIXED: Values = _ACCEPT_ALL | {"candidates": {"threshold": "fixed", "max_landmark_distance": 1e9}}
+_FIXED: Values = _ACCEPT_ALL | {"candidates": {"threshold": "fixed"}}
 _PRINTED: Values = {"landmarks": {"weighting": "paper", "counted": "gaussians"}}
 ROWS: dict[str, Values] = {
     "no loops": {"use": False},

@@ -243,8 +243,8 @@ def frame_to_frame(dataset: CaseDataset, method: FrameToFrame) -> Estimate:
         else:
             poses[index], part[index] = T_world_camera.copy(), len(lost)
     figures = {"frame_ms": float(np.median(times_ms))}
-    found = Estimate(dataset.timestamps_s, poses, largest_first(part), frozenset(lost))
-    return replace(found, figures=figures)
+    part = largest_first(part)
+    return Estimate(dataset.timestamps_s, poses, part, frozenset(lost), figures=figures)
 
 
 def largest_first(part: Mapping[int, int]) -> dict[int, int]:

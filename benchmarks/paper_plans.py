@@ -50,8 +50,7 @@ _UNTESTED: Values = {
     "verify": False,
     "closing": {"min_visible": 0.0},
     "pose_graph": {"confidence": 1.0, "kernel": "none"},
-    # Vectors of equation 7 as printed are not of unit length: no limit on their distance.
-    "candidates": {"threshold": "fixed", "max_landmark_distance": 1e9},
+    "candidates": {"threshold": "fixed"},
 }
 
 GROUPS: dict[str, Group] = {

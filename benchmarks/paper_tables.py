@@ -19,7 +19,8 @@ import tyro
 
 from benchmarks.compare_open3d import Arguments, rival_figures
 from benchmarks.motion_methods import CaseSource, RivalName, RivalProcess
-from benchmarks.paper_definitions import COLUMNS, TABLES, FunctionTable, PaperTable
+from benchmarks.paper_columns import COLUMNS
+from benchmarks.paper_definitions import TABLES, FunctionTable, PaperTable
 from benchmarks.paper_growth import growth_table
 from benchmarks.paper_plans import GROUPS
 from benchmarks.paper_runs import Effort, PaperRuns
@@ -44,8 +45,8 @@ of one thread with another process on the second core.
 
 Not here: ScanNet, TUM fr1/desk, fr1/room, fr2/xyz and fr3/office, and seven of eight Replica scenes
 are not on this machine. H-VIII (monocular) is in `prior_tracking.md`, H-IX (trees) in `trees-*.md`
-and `many-classes.md`, semantics one part at a time in `thesis.md`. ORB-SLAM3 is in
-`monocular_rivals.md`."""
+and `many-classes.md`, semantics one part at a time in `thesis.md`. ORB-SLAM3
+without depth is in `monocular_rivals.md`."""
 
 
 @dataclass(frozen=True, kw_only=True)

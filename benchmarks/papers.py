@@ -51,8 +51,6 @@ row changes the settings that it names and nothing else."""
 _GIVEN: Values = {"poses": "given", "hold_out": 5}
 # No class is ever seen as often, so that landmarks have no effect.
 _NEVER = 10**9
-# Vectors of equation 7 as printed are not of unit length.
-_UNLIMITED = 1e9
 _COLOUR: Values = {"code": {"kind": "colour"}}
 _GAUSEM: Values = {"kind": "first-order", "first_order": {"preset": "gausem"}}
 
@@ -299,9 +297,7 @@ def searched(encoder_kind: str, values: Values, seed: int) -> Metrics:
     landmarks = LandmarkOptions(**values)
     encoder = build_encoder(validated(FeatureOptions, {"kind": encoder_kind}))
     ring = counted_ring(encoder_kind, seed)
-    options = CandidateOptions(
-        search_every=1, threshold="fixed", kept=1, max_landmark_distance=_UNLIMITED
-    )
+    options = CandidateOptions(search_every=1, threshold="fixed", kept=1)
     finder = CandidateFinder(encoder.dimensions, encoder.threshold, options, landmarks)
     found = [c for k in ring.keyframes[landmarks.counted] for c in finder.add(k) if c.accepted]
     frames = [keyframe.frame for keyframe in ring.keyframes[landmarks.counted]]

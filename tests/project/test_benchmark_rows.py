@@ -12,6 +12,7 @@ from benchmarks import (
     live,
     loops,
     pace,
+    paper_columns,
     paper_definitions,
     paper_plans,
     paper_runs,
@@ -64,7 +65,7 @@ def test_rows_of_the_papers_tables_have_runs_and_columns() -> None:
         if isinstance(table, paper_definitions.FunctionTable):
             assert table.kind in paper_tables.MEASURES and set(table.paper) <= set(table.rows)
             continue
-        assert set(table.columns) <= set(paper_definitions.COLUMNS)
+        assert set(table.columns) <= set(paper_columns.COLUMNS)
         for row in table.rows.values():
             group = paper_plans.GROUPS[row.group]
             assert row.settings in group.settings
