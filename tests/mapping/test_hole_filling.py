@@ -19,6 +19,7 @@ from toolkit.mapping.depth_views import DepthView
 from toolkit.mapping.hole_filling import (
     _nearest_labels,
     _outside_free_space,
+    fill_all_holes,
     fill_holes,
     inferred_depth,
 )
@@ -115,7 +116,7 @@ def test_points_that_another_keyframe_measured_through_are_moved_away(room: Mapp
     mapper.add_keyframe(keyframes[0])
     mapper.submap.keyframes.append(keyframes[1])
     before = len(mapper.gaussians)
-    mapper.mapper._fill_holes(mapper.submap)
+    fill_all_holes(mapper.submap, mapper.mapper.view, mapper.mapper._densification)
     added = mapper.gaussians.means[before:]
     assert len(added)
     assert not DepthView.of(keyframes[1]).measures_through(added).any()

@@ -19,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.free_space import FREE_SPACE, FREE_SPACE_M, free_space_margin_m
@@ -166,6 +167,20 @@ def hides_view(means: Tensor, camera: Camera, T_map_cameras: Array) -> Tensor:
     mask = torch.zeros(len(means), dtype=torch.bool)
     mask[near] = torch.from_numpy(hides)
     return mask.to(means.device)
+
+
+def contradicted_by_all(
+    gaussians: GaussianCloud, keyframes: Sequence[Keyframe], T_map_cameras: Array
+) -> Tensor:
+    """Mask [N] of the Gaussians in space that keyframes together measured as empty.
+
+    Args:
+        keyframes: all those of the map.
+        T_map_cameras: [P, 4, 4] poses of frames, in front of which space is empty, too.
+    """
+    evidence = Evidence.of(gaussians.means, (DepthView.of(keyframe) for keyframe in keyframes))
+    mask = evidence.contradicts_in_map(gaussians.radii_m)
+    return mask | hides_view(gaussians.means, keyframes[0].camera, T_map_cameras)
 
 
 class FreeSpace:

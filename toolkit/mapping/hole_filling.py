@@ -8,7 +8,8 @@ along its ray. The final refinement then fits its colour.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import cv2
@@ -24,6 +25,8 @@ from toolkit.mapping.depth_views import DepthView
 from toolkit.rendering import SurfaceView
 from toolkit.submaps.submap import Submap
 
+_log = logging.getLogger(__name__)
+
 # Smaller holes are covered by the Gaussians around them, as a fraction of the image.
 _MIN_HOLE = 0.002
 # Factors of the inferred depth at which a point is tried, from near to far. A point that other
@@ -37,6 +40,26 @@ _DISTANCE_POWER = 6
 _EDGE_RATIO = 1.2
 # Largest width of the shadow beside a depth edge, as a fraction of the image's width.
 _MAX_SHADOW = 0.06
+
+
+def fill_all_holes(
+    submap: Submap,
+    view: Callable[[Submap, Keyframe], SurfaceView],
+    densification: Densification,
+) -> None:
+    """Seed the holes of all keyframes of a map; see `fill_holes`.
+
+    Args:
+        view: renders the map from a keyframe.
+    """
+    depths = [DepthView.of(keyframe) for keyframe in submap.keyframes]
+    filled = 0
+    for number, keyframe in enumerate(submap.keyframes):
+        others = [*depths[:number], *depths[number + 1 :]]
+        rendered = view(submap, keyframe)
+        filled += fill_holes(submap, keyframe, rendered, densification, others)
+    if filled:
+        _log.info("Seeded %d Gaussians where no depth was measured.", filled)
 
 
 def fill_holes(

@@ -25,11 +25,10 @@ from toolkit.mapping.consensus import label_consensus
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
-from toolkit.mapping.depth_views import DepthView
 from toolkit.mapping.effort import Effort
 from toolkit.mapping.final_optimisation import refine
-from toolkit.mapping.free_space import Evidence, FreeSpace, hides_view, is_measured
-from toolkit.mapping.hole_filling import fill_holes
+from toolkit.mapping.free_space import FreeSpace, contradicted_by_all, is_measured
+from toolkit.mapping.hole_filling import fill_all_holes
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window
 from toolkit.mapping.moving_objects import hide_moving_objects
@@ -324,7 +323,7 @@ class Mapper:
         self._clear_free_space(submap, T_map_cameras)
         if self.options.fill_holes:
             with self._recorder.timed(Stage.HOLE_FILLING):
-                self._fill_holes(submap)
+                fill_all_holes(submap, self.view, self._densification)
         refine(submap, self._optimisation, self.options, self._generator)
         self._clear_free_space(submap, T_map_cameras)
         self._densification.prune(submap)
@@ -364,23 +363,10 @@ class Mapper:
         if not self.options.free_space or not is_measured(submap.keyframes):
             return
         with self._recorder.timed(Stage.FREE_SPACE):
-            views = (DepthView.of(keyframe) for keyframe in submap.keyframes)
-            evidence = Evidence.of(submap.gaussians.means, views)
-            mask = evidence.contradicts_in_map(submap.gaussians.radii_m)
-            mask |= hides_view(submap.gaussians.means, submap.keyframes[0].camera, T_map_cameras)
+            mask = contradicted_by_all(submap.gaussians, submap.keyframes, T_map_cameras)
         _remove(submap, mask)
         if mask.any():
             _log.info("Removed %d Gaussians from empty space.", int(mask.sum()))
-
-    def _fill_holes(self, submap: Submap) -> None:
-        views = [DepthView.of(keyframe) for keyframe in submap.keyframes]
-        filled = 0
-        for number, keyframe in enumerate(submap.keyframes):
-            others = [*views[:number], *views[number + 1 :]]
-            view = self.view(submap, keyframe)
-            filled += fill_holes(submap, keyframe, view, self._densification, others)
-        if filled:
-            _log.info("Seeded %d Gaussians where no depth was measured.", filled)
 
     def _optimise(self, submap: Submap, effort: Effort, poses: bool = False) -> float:
         """Optimise over the window of the newest keyframe; return the loss of the last step."""
