@@ -24,17 +24,21 @@ from toolkit.gaussians.options import SeedingOptions
 from toolkit.geometry import se3
 
 # Maximum colour range, for colours in [0, 1], and maximum curvature, as a fraction of depth, of a
-# block that becomes one Gaussian.
+# block of 2x2 pixels that becomes one Gaussian. Larger blocks may have half the range.
 _FLAT_COLOUR, _FLAT_DEPTH = 0.04, 0.005
+# Where the map and its images differ, by noise, blur and small errors of poses, finer Gaussians
+# only follow these differences: a colour range up to this multiple of them is flat, too.
+_FLAT_NOISE = 4.5
 
 
-def seed(
+def seed(  # noqa: PLR0913 - what is seeded, where, and how
     frame: Frame,
     T_map_camera: NDArray[np.float64],
     mask: NDArray[np.bool_],
     options: SeedingOptions,
     start_values: torch.Tensor | None = None,
     generator: np.random.Generator | None = None,
+    noise: float = 0.0,
 ) -> GaussianCloud:
     """Create Gaussians in the map's frame for the masked pixels with valid depth.
 
@@ -46,6 +50,7 @@ def seed(
         start_values: [C + 1, S] initial features by class id; row 0 is used for void and for
             frames without labels. None for S = 0.
         generator: source of randomness if pixels are sampled.
+        noise: standard deviation of the frame's colours from those of the map, 0 if unknown.
     """
     wanted = mask & (frame.depth_m > 0)
     if options.choice != "cells":
@@ -65,7 +70,8 @@ def seed(
     parts = []
     cell: int = options.max_cell
     while cell >= 1:
-        chosen = wanted if cell == 1 else _plain_cells(frame, wanted, cell)
+        flat = max(_FLAT_COLOUR, _FLAT_NOISE * noise) * 2 / cell
+        chosen = wanted if cell == 1 else _plain_cells(frame, wanted, cell, flat)
         parts.append(_seed_cells(frame, T_map_camera, chosen, cell, options, start_values))
         wanted = wanted & ~chosen
         cell //= 2
@@ -89,13 +95,15 @@ def _pixels_of(
     return image[y, x].reshape(len(rows), cell * cell, *image.shape[2:])
 
 
-def _plain_cells(frame: Frame, wanted: NDArray[np.bool_], cell: int) -> NDArray[np.bool_]:
-    """Return a mask [H, W] of complete cells with uniform colour and planar depth."""
+def _plain_cells(
+    frame: Frame, wanted: NDArray[np.bool_], cell: int, flat: float
+) -> NDArray[np.bool_]:
+    """Return a mask [H, W] of complete cells with a colour range below `flat` and planar depth."""
     full = _complete_cells(wanted, cell)
     rows, columns = np.nonzero(full)
     colour = _pixels_of(frame.rgb, cell, rows, columns)
     depth = _pixels_of(frame.depth_m, cell, rows, columns)
-    plain = (colour.max(axis=1) - colour.min(axis=1)).max(axis=-1) < _FLAT_COLOUR
+    plain = (colour.max(axis=1) - colour.min(axis=1)).max(axis=-1) < flat
     # Inverse depth is linear on a plane, so the residual of a linear fit measures curvature.
     inverse = 1.0 / np.where(depth > 0, depth, 1.0)
     offset = np.arange(cell) - (cell - 1) / 2

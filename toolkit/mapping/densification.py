@@ -18,11 +18,15 @@ from toolkit.keyframe import Keyframe, Observed
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
+from toolkit.rendering.output import COLOUR
 from toolkit.submaps.submap import Submap
 
 # Minimum depth error that seeds new Gaussians in front of a surface: as a fraction of depth, and as
 # a multiple of the median depth error.
 _DEPTH_FLOOR, _DEPTH_FACTOR = 0.03, 20.0
+# Colours are compared at every n-th pixel in each direction, if this fraction of them shows mapped
+# surfaces. The standard deviation is this multiple of the median absolute deviation.
+_NOISE_STRIDE, _MIN_SHOWN, _SIGMA_PER_MEDIAN = 4, 0.1, 1.4826
 # Gaussians of lower opacity or larger radius are pruned.
 _MIN_OPACITY, _MAX_RADIUS_M = 0.005, 0.5
 
@@ -66,7 +70,8 @@ class Densification:
         if observed.inferred is not None:
             # Inferred depth does not contradict a surface of the map.
             mask |= observed.inferred & ~self.covered(view)
-        seeds = self.seeds(keyframe.as_frame(), keyframe.T_map_camera, mask.cpu().numpy())
+        noise = colour_noise(view, keyframe, observed)
+        seeds = self.seeds(keyframe.as_frame(), keyframe.T_map_camera, mask.cpu().numpy(), noise)
         if in_empty_space is not None and len(seeds):
             seeds = seeds.select(~in_empty_space(seeds.means))
         if len(seeds):
@@ -74,12 +79,19 @@ class Densification:
         return len(seeds)
 
     def seeds(
-        self, frame: Frame, T_map_camera: NDArray[np.float64], mask: NDArray[np.bool_]
+        self,
+        frame: Frame,
+        T_map_camera: NDArray[np.float64],
+        mask: NDArray[np.bool_],
+        noise: float = 0.0,
     ) -> GaussianCloud:
-        """Gaussians for the pixels of a frame that have a depth and are in a mask [H, W]."""
-        seeds = seed(
-            frame, T_map_camera, mask, self._options.seeding, self._start_values, self._generator
-        )
+        """Gaussians for the pixels of a frame that have a depth and are in a mask [H, W].
+
+        Args:
+            noise: standard deviation of the frame's colours from those of the map, 0 if unknown.
+        """
+        options, start_values = self._options.seeding, self._start_values
+        seeds = seed(frame, T_map_camera, mask, options, start_values, self._generator, noise)
         if self._semantics.random_start:
             random = self._generator.standard_normal(seeds.features.shape, np.float32)
             seeds = replace(seeds, features=torch.from_numpy(random))
@@ -94,6 +106,24 @@ class Densification:
         mask = prune_mask(submap.gaussians, _MIN_OPACITY, _MAX_RADIUS_M)
         if mask.any():
             submap.remove(mask)
+
+
+def colour_noise(view: SurfaceView, keyframe: Keyframe, observed: Observed) -> float:
+    """Robust standard deviation of a keyframe's colours from those of the rendered map.
+
+    It is 0 where the map shows too little of the keyframe.
+
+    Args:
+        view: the map rendered from the keyframe.
+        observed: images of the keyframe on the map's device.
+    """
+    sparse = (..., slice(None, None, _NOISE_STRIDE), slice(None, None, _NOISE_STRIDE))
+    depth_m, rendered_m = observed.measured_m[sparse], view.depth_m[sparse]
+    shown = (depth_m > 0) & ((rendered_m - depth_m).abs() < _DEPTH_FLOOR * depth_m)
+    if float(shown.float().mean()) < _MIN_SHOWN:
+        return 0.0
+    difference = keyframe.target_rgb(observed)[sparse] - view.output.images[COLOUR][sparse]
+    return _SIGMA_PER_MEDIAN * float(difference.abs()[:, shown].median())
 
 
 def uncovered_pixels(

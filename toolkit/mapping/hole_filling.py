@@ -20,7 +20,7 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.densification import Densification
+from toolkit.mapping.densification import Densification, colour_noise
 from toolkit.mapping.depth_views import DepthView
 from toolkit.rendering import SurfaceView
 from toolkit.submaps.submap import Submap
@@ -90,7 +90,8 @@ def fill_holes(
     frame = replace(keyframe.as_frame(), depth_m=depth_m)
     if frame.labels is not None:
         frame = replace(frame, labels=_nearest_labels(frame.labels))
-    seeds = densification.seeds(frame, keyframe.T_map_camera, holes)
+    noise = colour_noise(view, keyframe, keyframe.images.to(view.depth_m.device))
+    seeds = densification.seeds(frame, keyframe.T_map_camera, holes, noise)
     seeds = _outside_free_space(seeds, keyframe, others)
     if len(seeds):
         submap.append(seeds, keyframe)
