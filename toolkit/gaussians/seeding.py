@@ -28,7 +28,7 @@ from toolkit.geometry import se3
 _FLAT_COLOUR, _FLAT_DEPTH = 0.04, 0.005
 # Where the map and its images differ, by noise, blur and small errors of poses, finer Gaussians
 # only follow these differences: a colour range up to this multiple of them is flat, too.
-_FLAT_NOISE = 4.5
+_FLAT_NOISE = 3.0
 
 
 def seed(  # noqa: PLR0913 - what is seeded, where, and how
