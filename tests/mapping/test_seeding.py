@@ -14,7 +14,7 @@ from toolkit.gaussians.seeding import seed
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 
-CAMERA = Camera(40.0, 42.0, 15.0, 11.0, 32, 24)
+CAMERA = Camera(300.0, 310.0, 15.0, 11.0, 32, 24)
 SINGLE, CELLS, LARGE = (SeedingOptions(max_cell=n) for n in (1, 2, 4))
 POSE = se3.exp(np.array([0.5, -0.3, 0.2, 0.3, -0.2, 0.4]))
 
@@ -39,6 +39,27 @@ def everywhere(frame: Frame) -> np.ndarray:
 def test_plain_surfaces_get_one_gaussian_a_cell(options, count):
     frame = plain_wall()
     assert len(seed(frame, POSE, everywhere(frame), options)) == count
+
+
+def test_cells_are_at_most_a_fraction_of_the_focal_length_wide():
+    frame = plain_wall(replace(CAMERA, fx=120.0, fy=120.0))
+    assert len(seed(frame, POSE, everywhere(frame), LARGE)) == 192
+
+
+def test_texture_within_the_noise_is_flat():
+    frame = plain_wall()
+    frame.rgb[::2] += np.float32(0.08)
+    assert len(seed(frame, POSE, everywhere(frame), LARGE)) == 768
+    assert len(seed(frame, POSE, everywhere(frame), LARGE, noise=0.03)) == 192
+    assert len(seed(frame, POSE, everywhere(frame), LARGE, noise=0.04)) == 48
+    # The pixels of a camera of less than half the resolution are twice as far apart.
+    coarse = replace(frame, camera=replace(CAMERA, fx=120.0, fy=120.0))
+    assert len(seed(coarse, POSE, everywhere(coarse), LARGE, noise=0.04)) == 768
+
+
+def test_strong_texture_is_not_flat_at_any_noise():
+    frame = noisy_wall()
+    assert len(seed(frame, POSE, everywhere(frame), LARGE, noise=1.0)) > 700
 
 
 @pytest.mark.parametrize("options", [SINGLE, CELLS, LARGE])

@@ -70,6 +70,16 @@ def test_depth_is_summed_up(room):
     assert (prepared(blind, 1, CPU).median_depth_m, prepared(blind, 1, CPU).measured) == (1.0, 0)
 
 
+def test_wide_images_are_halved(room):
+    frame = room.frames[0]
+    camera = frame.camera
+    ready = prepared(frame, 2, CPU, max_width=camera.width - 1)
+    assert ready.frame is frame
+    assert [level.camera for level in ready.levels] == [camera.halved(), camera.halved().halved()]
+    assert ready.measured == int((ready.levels[0].depth_m > 0).sum())
+    assert prepared(frame, 2, CPU, max_width=camera.width).levels[0].camera == camera
+
+
 def tracked(room: Room, gaussians: GaussianCloud, frames: list[Frame], ahead: bool) -> list[bytes]:
     """Poses of frames, made ready by another thread meanwhile or not."""
     tracker = DenseTracker()

@@ -16,9 +16,10 @@ class SeedingOptions:
     """Standard deviation of a new Gaussian, in pixels."""
     opacity: Annotated[float, Range(gt=0, lt=1)] = 0.95
     """Opacity of a new Gaussian."""
-    max_cell: Literal[1, 2, 4] = 4
+    max_cell: Literal[1, 2, 4, 8] = 8
     """Maximum side length in pixels of a block that becomes one Gaussian, where the surface has
-    neither curvature nor texture beyond the differences between map and images."""
+    neither curvature nor texture beyond the differences between map and images. Blocks of more than
+    2x2 pixels are at most 1/64 of the focal length wide."""
     choice: Literal["cells", "uniform", "semantic", "paper"] = "cells"
     """Selection of pixels: all, in blocks (cells), a random subset (uniform), a subset of which a
     class has a part in proportion to the square root of its area (semantic), or that of GauSem-SLAM

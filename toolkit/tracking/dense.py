@@ -1,8 +1,9 @@
 """The default tracker: dense Gauss-Newton alignment to the rendered map.
 
-The map is rendered at the predicted pose, and the frame is aligned to that view from coarse to
-fine. The map is rendered again only if the estimated pose is far from the rendered view. If the
-frame then fits badly, alignment is repeated from the pose found by Open3D's odometry.
+The map is rendered at the predicted pose, at no more than the resolution that a pose needs, and the
+frame is aligned to that view from coarse to fine. The map is rendered again only if the estimated
+pose is far from the rendered view. If the frame then fits badly, alignment is repeated from the
+pose found by Open3D's odometry.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ class DenseTracker(MovingTracker):
     ) -> None:
         super().__init__(limits)
         self.options = options or DenseOptions()
-        self._prepared = PreparedFrames(self.options.levels)
+        self._prepared = PreparedFrames(self.options.levels, self.options.max_width)
         self._recorder = recorder or NullRecorder()
         self._renderer = MapRenderer(backend_name, self._recorder)
         self._scales = INITIAL_SCALES
@@ -228,7 +229,7 @@ class DenseTracker(MovingTracker):
                 return
 
     def _render(self, task: Task, T_map_view: NDArray[np.float64]) -> RenderedView:
-        camera, levels = task.frame.camera, self.options.levels
+        camera, levels = task.camera, self.options.levels
         return self._renderer.view(task.gaussians, camera, T_map_view, levels)
 
     def _best_start(
@@ -272,7 +273,7 @@ class DenseTracker(MovingTracker):
         levels = task.levels[_SEARCH_LEVEL:]
         if not levels:
             return
-        camera = wide_camera(task.frame.camera)
+        camera = wide_camera(task.camera)
         view = self._renderer.view(task.gaussians, camera, start, len(levels))
         options = replace(
             self._alignment_options,

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.levels import finest_level, pyramid
+from toolkit.alignment.levels import finest_level, limited_to_width, pyramid
 from toolkit.frame import Frame
 
 # Maximum number of cached frames.
@@ -27,7 +27,7 @@ class PreparedFrame:
         frame: the original frame.
         levels: image pyramid from fine to coarse, on the map's device.
         median_depth_m: median depth in metres; 1 without depth.
-        measured: number of pixels with depth.
+        measured: number of pixels with depth at the finest level.
     """
 
     frame: Frame
@@ -36,19 +36,25 @@ class PreparedFrame:
     measured: int
 
 
-def prepared(frame: Frame, levels: int, device: torch.device) -> PreparedFrame:
+def prepared(
+    frame: Frame, levels: int, device: torch.device, max_width: int | None = None
+) -> PreparedFrame:
     """Preprocess a frame.
 
     Args:
         levels: number of pyramid levels.
+        max_width: of the finest level in pixels; wider images are halved. None for any width.
     """
+    finest = finest_level(frame, device)
+    if max_width is not None:
+        finest = limited_to_width(finest, max_width)
     sparse = frame.depth_m[_STRIDE // 2 :: _STRIDE, _STRIDE // 2 :: _STRIDE]
     valid = sparse[sparse > 0]
     return PreparedFrame(
         frame,
-        pyramid(finest_level(frame, device), levels),
+        pyramid(finest, levels),
         float(np.median(valid)) if valid.size else 1.0,
-        int((frame.depth_m > 0).sum()),
+        int((finest.depth_m > 0).sum()),
     )
 
 
@@ -57,16 +63,17 @@ class PreparedFrames:
 
     Args:
         levels: number of pyramid levels.
+        max_width: of the finest level in pixels; wider images are halved.
     """
 
-    def __init__(self, levels: int) -> None:
-        self._levels = levels
+    def __init__(self, levels: int, max_width: int | None = None) -> None:
+        self._levels, self._max_width = levels, max_width
         self._cache: list[PreparedFrame] = []
         self._lock = threading.Lock()
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
         """Preprocess a frame that will be tracked soon, and cache the result."""
-        new = prepared(frame, self._levels, device)
+        new = prepared(frame, self._levels, device, self._max_width)
         with self._lock:
             self._cache = [*self._cache, new][-_MAX_FRAMES:]
 
@@ -82,4 +89,4 @@ class PreparedFrames:
             same = p.frame.rgb is frame.rgb and p.frame.depth_m is frame.depth_m
             if same and p.levels[0].depth_m.device == device:
                 return p
-        return prepared(frame, self._levels, device)
+        return prepared(frame, self._levels, device, self._max_width)

@@ -72,6 +72,11 @@ class Task:
         """Image pyramid of the frame, from fine to coarse."""
         return self.prepared.levels
 
+    @property
+    def camera(self) -> Camera:
+        """Camera of the finest level."""
+        return self.levels[0].camera
+
     def distance(self, T_map_first: Array, T_map_second: Array) -> float:
         """Size of the motion between two poses [4, 4]."""
         return self.size(se3.inverse(T_map_first) @ T_map_second)
