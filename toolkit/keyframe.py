@@ -226,6 +226,11 @@ class Keyframe:
         inferred = None if self.inferred is None else self.inferred.numpy()
         return Frame(self.index, self.timestamp_s, rgb, depth_m, self.camera, labels, inferred)
 
+    @property
+    def median_depth_m(self) -> float:
+        """Median depth of the sparse observed points; 0 if there are none."""
+        return float(np.median(self.points[:, 2])) if len(self.points) else 0.0
+
     def points_in_map(self) -> NDArray[np.float64]:
         """The sparse observed points [P, 3] in the map's frame."""
         return se3.transform_points(self.T_map_camera, self.points.astype(np.float64))

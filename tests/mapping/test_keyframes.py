@@ -12,7 +12,7 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.keyframes import choose_window
+from toolkit.mapping.keyframes import choose_window, is_revisit
 from toolkit.mapping.options import KeyframePolicy
 
 CAMERA = Camera(40.0, 40.0, 31.5, 23.5, 64, 48)
@@ -95,6 +95,33 @@ class TestKeyframe:
 )
 def test_a_keyframe_comes_by_time_or_by_overlap(frames, overlap, wanted):
     assert KeyframePolicy(interval=5, min_overlap=0.8).wants(frames, overlap) is wanted
+
+
+class TestRevisit:
+    def path(self, degrees: float = 3.0) -> list[Keyframe]:
+        """Turning to the right, at 40 poses."""
+        return [keyframe(i, turned(degrees * i)) for i in range(40)]
+
+    def test_an_earlier_view_comes_again(self):
+        assert is_revisit(self.path(), turned(10.0), 0.05)
+        assert not is_revisit(self.path(), turned(-4.0), 0.05)
+
+    def test_the_newest_keyframes_are_no_earlier_visit(self):
+        assert not is_revisit(self.path(), turned(3.0 * 39), 0.05)
+        assert not is_revisit(self.path()[:20], turned(0.0), 0.05)
+
+    def test_a_camera_that_rests_has_a_limited_number_of_keyframes(self):
+        resting = [keyframe(i) for i in range(21)]
+        assert not is_revisit(resting[:20], np.eye(4), 0.05)
+        assert is_revisit(resting, np.eye(4), 0.05)
+
+    def test_a_nearer_view_is_a_new_one(self):
+        nearer = se3.exp(np.array([0.0, 0.0, 0.12, 0.0, 0.0, 0.0]))  # of two metres
+        assert not is_revisit(self.path(), nearer, 0.05)
+        assert is_revisit(self.path(), nearer, 0.07)
+
+    def test_all_views_are_new_without_a_limit(self):
+        assert not is_revisit(self.path(), np.eye(4), 0.0)
 
 
 class TestWindow:

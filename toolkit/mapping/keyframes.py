@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
+
+# Number of newest keyframes that do not count as an earlier visit.
+_RECENT = 20
 
 
 class KeyframeChoice(Protocol):
@@ -15,6 +21,28 @@ class KeyframeChoice(Protocol):
     def wants(self, frames_since_last: int, overlap: float) -> bool:
         """Whether the newest frame should become a keyframe; see `KeyframePolicy.wants`."""
         ...
+
+
+def is_revisit(
+    keyframes: Sequence[Keyframe], T_map_camera: NDArray[np.float64], max_motion: float
+) -> bool:
+    """Whether a keyframe other than the newest ones has about the view of a camera.
+
+    Args:
+        keyframes: of one submap, in order.
+        T_map_camera: [4, 4] pose of the camera.
+        max_motion: between the views, as translation over median depth plus rotation in radians.
+    """
+    earlier = keyframes[:-_RECENT]
+    if not earlier:
+        return False
+    motions = se3.inverse(T_map_camera) @ np.array([k.T_map_camera for k in earlier])
+    radians = se3.rotation_angle_rad(motions[:, :3, :3])
+    metres = np.linalg.norm(motions[:, :3, 3], axis=1)
+    near = np.flatnonzero(radians < max_motion)
+    return any(
+        metres[i] < (max_motion - radians[i]) * earlier[i].median_depth_m for i in near
+    )
 
 
 def choose_window(

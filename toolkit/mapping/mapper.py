@@ -30,7 +30,7 @@ from toolkit.mapping.final_optimisation import refine
 from toolkit.mapping.free_space import FreeSpace, contradicted_by_all, is_measured
 from toolkit.mapping.hole_filling import fill_all_holes
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
-from toolkit.mapping.keyframes import KeyframeChoice, choose_window
+from toolkit.mapping.keyframes import KeyframeChoice, choose_window, is_revisit
 from toolkit.mapping.moving_objects import hide_moving_objects
 from toolkit.mapping.optimisation import KeyframeImages, MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
@@ -136,7 +136,10 @@ class Mapper:
         if not keyframes:
             return True
         last = keyframes[-1]
-        return self._keyframe_choice.wants(index - last.index, last.fraction_seen_by(T_map_camera))
+        overlap = last.fraction_seen_by(T_map_camera)
+        if not self._keyframe_choice.wants(index - last.index, overlap):
+            return False
+        return not is_revisit(keyframes, T_map_camera, self.options.keyframes.revisit)
 
     def add_keyframe(self, submap: Submap, keyframe: Keyframe) -> MappingResult:
         """Extend and optimise a submap with a keyframe.

@@ -26,6 +26,10 @@ class KeyframePolicy:
     min_overlap: Fraction = 0.93
     """Minimum overlap of a frame with the last keyframe. Below it, the frame becomes a
     keyframe."""
+    revisit: NonNegativeFloat = 0.05
+    """Maximum motion from an earlier keyframe of the submap, as translation over median depth plus
+    rotation in radians, at which a frame shows a place again and does not become a keyframe. 0: all
+    visits of a place add keyframes."""
 
     def wants(self, frames_since_last: int, overlap: float) -> bool:
         """Whether the newest frame should become a keyframe.
