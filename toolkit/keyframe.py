@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
@@ -15,6 +15,8 @@ from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+
+Item = TypeVar("Item")
 
 # Covisibility is estimated from every n-th pixel in each direction.
 _STRIDE = 16
@@ -320,10 +322,10 @@ def fractions_observed(
     return np.asarray(on_surface.mean(axis=1))
 
 
-def evenly_spaced(keyframes: Sequence[Keyframe], count: int) -> list[Keyframe]:
-    """At most a number of keyframes, evenly spaced, including the first and the last."""
-    places = np.linspace(0, len(keyframes) - 1, min(len(keyframes), count)).round().astype(int)
-    return [keyframes[place] for place in places]
+def evenly_spaced(items: Sequence[Item], count: int) -> list[Item]:
+    """At most a number of items, evenly spaced, including the first and the last."""
+    places = np.linspace(0, len(items) - 1, min(len(items), count)).round().astype(int)
+    return [items[place] for place in places]
 
 
 def _not_behind(z_m: NDArray[np.float64], measured_m: NDArray[np.float32]) -> NDArray[np.bool_]:

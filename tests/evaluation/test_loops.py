@@ -10,6 +10,7 @@ import pytest
 
 from toolkit.evaluation.loops import (
     LoopTruthOptions,
+    TrueMatches,
     TrueViews,
     loop_convention,
     loop_definitions,
@@ -163,3 +164,13 @@ def test_frames_outside_the_sequence_are_refused():
         score_loops(circling(), [200], [], OPTIONS)
     with pytest.raises(ValueError, match="same frames"):
         TrueViews(CAMERA, np.zeros((3, 4, 4)), np.zeros((2, 5, 3)), np.zeros(3))
+
+
+@pytest.mark.parametrize("options", [OPTIONS, replace(OPTIONS, min_overlap=0.0)])
+def test_single_frames_have_the_loops_of_the_whole(options):
+    views = circling()
+    alone = replace(options, interval=1)
+    whole, matches = true_intervals(views, alone), TrueMatches(views, alone)
+    for frame in (0, 99, 130, 180):
+        np.testing.assert_array_equal(matches.of(frame), whole[frame])
+    assert matches.contain((130, 30)) == whole[130, 30]

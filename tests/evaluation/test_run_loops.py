@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from toolkit.evaluation import run_loops
 from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.options import TruthErrorOptions
 from toolkit.evaluation.run_loops import run_loop_metrics
@@ -113,3 +114,36 @@ def test_a_relocalisation_that_connects_a_submap_is_an_edge():
     assert run_loop_metrics([*SEARCHES, record], There(), GAP)["edges"]["count"] == 1
     removed = edge | {"kind": "retracted", "accepted": False, "reason": "contradicts"}
     assert run_loop_metrics([*SEARCHES, record, removed], There(), GAP)["edges"]["count"] == 0
+
+
+def test_a_long_sequence_is_evaluated_on_some_frames(monkeypatch):
+    records = [*SEARCHES, found(10, 4), found(8, 2, "candidate"), found(10, 1, "candidate")]
+    every = run_loop_metrics(records, There(), GAP)
+    monkeypatch.setattr(run_loops, "_MAX_FRAMES", 10)
+    monkeypatch.setattr(run_loops, "_SAMPLED", 3)
+    some = run_loop_metrics(records, There(), GAP)
+    assert every["frames_compared"] == 12
+    assert some["frames_compared"] == len({0, 6, 11, 5, 8, 10, 4, 2, 1})
+    for group in ("verified", "suspected"):
+        for name in ("overlap", "position"):
+            expected = dict(every[group][name], recall_of_all_percent=None)
+            assert some[group][name] == expected
+        assert "intervals" not in some[group] and "intervals" in every[group]
+
+
+def test_of_many_searches_some_are_evaluated(monkeypatch):
+    monkeypatch.setattr(run_loops, "_MAX_FRAMES", 10)
+    monkeypatch.setattr(run_loops, "_SAMPLED_SEARCHES", 2)
+    metrics = run_loop_metrics([*SEARCHES, found(8, 2)], There(), GAP)
+    assert metrics["searched"] == 3
+    assert metrics["verified"]["overlap"]["searched_with_truth"] == 1  # 5 and 10, not 8
+    assert metrics["verified"]["overlap"]["precision_percent"] == 100.0
+
+
+def test_the_speed_at_the_edges_of_a_long_sequence_is_known(monkeypatch):
+    record = found(10, 4, "found") | {"T_match_query": np.eye(4).reshape(-1).tolist()}
+    own = TruthErrorOptions(truth_error_s=0.1)
+    every = run_loop_metrics([*SEARCHES, record], There(), GAP, own)["edges"]
+    monkeypatch.setattr(run_loops, "_MAX_FRAMES", 10)
+    monkeypatch.setattr(run_loops, "_SAMPLED", 2)
+    assert run_loop_metrics([*SEARCHES, record], There(), GAP, own)["edges"] == every

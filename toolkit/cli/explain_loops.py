@@ -17,7 +17,7 @@ from toolkit.errors import FormatError, RunFolderError
 from toolkit.evaluation.loop_gallery import results_of
 from toolkit.evaluation.loops import LoopTruthOptions
 from toolkit.evaluation.missed_loops import MissedLoop, missed_loops
-from toolkit.evaluation.run_loops import true_views
+from toolkit.evaluation.run_loops import loop_views
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.frustum import Frustum, contained_fraction, far_depth_m, observed_points
@@ -109,7 +109,7 @@ def _missed(
     truth = LoopTruthOptions(
         min_gap_frames=candidates.min_gap_frames, min_gap_m=candidates.min_gap_m
     )
-    return missed_loops(records, true_views(dataset), truth)
+    return missed_loops(records, loop_views(dataset, records), truth)
 
 
 def missed_picture(dataset: RecordedDataset, loop: MissedLoop) -> np.ndarray:

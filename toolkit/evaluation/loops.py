@@ -10,12 +10,17 @@ G divides the sequence into intervals of 10 frames. Two intervals form a true lo
 their frames beyond the gap are close (here, the mean overlap of their views must also reach the
 minimum), and a candidate is correct if its frames lie in such intervals. Intervals in which the
 camera moves by tau cannot form a loop by this rule, so these metrics are reported in addition.
+
+Comparing all frames takes time and memory with the square of their number. In long sequences, only
+some frames are compared (`toolkit.evaluation.run_loops`); recall is then over some of the searched
+keyframes, and there are no metrics over all pairs or intervals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +73,8 @@ class TrueViews:
             (`toolkit.geometry.frustum.observed_points`).
         far_m: [N] z-depths of the far planes of the frusta (`far_depth_m`).
         timestamps_s: [N] times of the frames; only pose errors of edges need them.
+        rows: [N] row of each frame in `points_m` and `far_m`, which contain some frames only; -1
+            for the others, which have no pose. None if they contain all frames.
 
     Raises:
         ValueError: lengths differ.
@@ -78,16 +85,23 @@ class TrueViews:
     points_m: NDArray
     far_m: Array
     timestamps_s: Array | None = None
+    rows: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
-        if not len(self.T_world_camera) == len(self.points_m) == len(self.far_m):
+        count = len(self) if self.rows is None else int((self.rows >= 0).sum())
+        if not count == len(self.points_m) == len(self.far_m):
             raise ValueError(
                 f"poses, points and far depths must be of the same frames, got "
-                f"{len(self.T_world_camera)}, {len(self.points_m)} and {len(self.far_m)}"
+                f"{count}, {len(self.points_m)} and {len(self.far_m)}"
             )
 
     def __len__(self) -> int:
-        return len(self.far_m)
+        return len(self.T_world_camera)
+
+    def observed(self, frames: Any) -> tuple[NDArray, Array]:
+        """Points [..., P, 3] and far planes [...] of frames [...] that are contained."""
+        rows = frames if self.rows is None else self.rows[frames]
+        return self.points_m[rows], self.far_m[rows]
 
     def overlaps(self, frame: int, others: NDArray[np.integer]) -> Array:
         """Return the overlap [M] in [0, 1] of one view with M others.
@@ -95,15 +109,14 @@ class TrueViews:
         It is the smaller of the fractions of points of one view visible in the other.
         """
         T_frame_others = se3.inverse(self.T_world_camera[frame]) @ self.T_world_camera[others]
-        frame_points, other_points = self.points_m[frame], self.points_m[others]
+        (frame_points, far_m), (other_points, others_far_m) = map(self.observed, (frame, others))
         in_others = in_view(
             self.camera,
             _transformed(se3.inverse(T_frame_others), frame_points[None]),
-            near_plane_m(self.far_m[others])[:, None],
-            self.far_m[others][:, None],
+            near_plane_m(others_far_m)[:, None],
+            others_far_m[:, None],
         )
-        far_m = float(self.far_m[frame])
-        near_m = near_plane_m(far_m)
+        near_m, far_m = near_plane_m(float(far_m)), float(far_m)
         in_frame = in_view(self.camera, _transformed(T_frame_others, other_points), near_m, far_m)
         return np.minimum(
             _visible_fraction(in_others, frame_points[None]),
@@ -176,11 +189,18 @@ def true_intervals(views: TrueViews, options: LoopTruthOptions | None = None) ->
     return truth
 
 
-def _pairs_of(views: TrueViews, frame: int, travelled_m: Array, options: LoopTruthOptions) -> Array:
+def _pairs_of(
+    views: TrueViews,
+    frame: int,
+    travelled_m: Array,
+    options: LoopTruthOptions,
+    among: NDArray[np.bool_] | None = None,
+) -> Array:
     """Compare a frame with all earlier frames.
 
     Args:
         travelled_m: [N] distance along the true path, NaN for frames without a pose.
+        among: [N] frames to compare with; all by default.
 
     Returns:
         [3, N]: whether a frame is beyond the gap (0 or 1), whether it is also close (0 or 1),
@@ -193,6 +213,8 @@ def _pairs_of(views: TrueViews, frame: int, travelled_m: Array, options: LoopTru
         close = distance_m < options.max_distance_m
     beyond &= frame - np.arange(len(views)) >= options.min_gap_frames
     close &= beyond
+    if among is not None:
+        close &= among
     overlap = np.zeros(len(views))
     if options.min_overlap > 0 and close.any():
         overlap[close] = views.overlaps(frame, np.flatnonzero(close))
@@ -219,6 +241,8 @@ def score_loops(
     pairs = sorted(set(accepted))
     queries = sorted(set(searched))
     _check_frames([*queries, *(frame for pair in pairs for frame in pair)], len(views))
+    if views.rows is not None:
+        return _score_of_some(views, queries, pairs, options)
     truth = true_intervals(views, options)
     correct = [p for p in pairs if truth[p[0] // options.interval, p[1] // options.interval]]
     with_loop = {q for q in queries if truth[q // options.interval].any()}
@@ -230,6 +254,45 @@ def score_loops(
         true_intervals=int(truth.sum()),
         found_intervals=len({(q // options.interval, m // options.interval) for q, m in correct}),
     )
+
+
+class TrueMatches:
+    """The true loops of single frames, without comparing all pairs of frames."""
+
+    def __init__(self, views: TrueViews, options: LoopTruthOptions | None = None) -> None:
+        self._views, self._options = views, options or LoopTruthOptions()
+        self._known: Pairs = np.asarray(np.isfinite(views.T_world_camera).all(axis=(1, 2)))
+        self._travelled_m = _travelled_m(views.T_world_camera[:, :3, 3], self._known)
+
+    def of(self, frame: int, among: Pairs | None = None) -> Pairs:
+        """Mask [N] of the earlier frames that form a true loop with one.
+
+        Args:
+            among: [N] frames to compare with; all by default.
+        """
+        if not self._known[frame]:
+            return np.zeros(len(self._views), bool)
+        among = self._known if among is None else self._known & among
+        _, close, overlap = _pairs_of(
+            self._views, frame, self._travelled_m, self._options, among
+        )
+        return np.asarray((close > 0) & (overlap >= self._options.min_overlap))
+
+    def contain(self, pair: FramePair) -> bool:
+        """Whether a later and an earlier frame form a true loop."""
+        query, match = pair
+        return bool(self.of(query, np.arange(len(self._views)) == match)[match])
+
+
+def _score_of_some(
+    views: TrueViews, queries: list[int], pairs: list[FramePair], options: LoopTruthOptions
+) -> LoopScore:
+    """As `score_loops`, for views of some frames, which contain all frames of the pairs."""
+    truth = TrueMatches(views, options)
+    correct = [pair for pair in pairs if truth.contain(pair)]
+    with_loop = {query for query in queries if truth.of(query).any()}
+    found = len(with_loop & {query for query, _ in correct})
+    return LoopScore(len(pairs), len(correct), len(with_loop), found, 0, 0)
 
 
 def loop_metrics(
@@ -244,11 +307,14 @@ def loop_metrics(
         views, searched, accepted, options: as in `score_loops`.
 
     Returns:
-        The number of accepted pairs, and a group of metrics for each of `loop_definitions`.
+        The number of accepted pairs, and a group of metrics for each of `loop_definitions`, except
+        those of intervals if the views are of some frames only.
     """
     pairs = list(accepted)
     metrics: Metrics = {"accepted": len(set(pairs))}
     for name, definition in loop_definitions(options).items():
+        if views.rows is not None and definition.interval > 1:
+            continue
         score = score_loops(views, searched, pairs, definition)
         values = {
             "precision": score.precision,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, true_intervals
+from toolkit.evaluation.loops import LoopTruthOptions, TrueMatches, TrueViews
 from toolkit.evaluation.run_loops import accepted_edges
 
 Record = dict[str, Any]
@@ -38,16 +38,17 @@ def missed_loops(
 
     Args:
         records: records of loops.jsonl.
-        views: ground-truth poses and observed points of all frames.
+        views: ground-truth poses and observed points. Of a long sequence, these are of some
+            frames (`loop_views`), and so are the missed loops.
         options: definition of a true loop, with the gap of the detector.
     """
-    truth = true_intervals(views, options)
+    truth = TrueMatches(views, options)
     searched = sorted({r["query"] for r in records if r["kind"] == "search"})
     found = {r["query"] for r in accepted_edges(records)}
     missed = []
     for query in searched:
-        matches = np.flatnonzero(truth[query])
-        if query in found or not len(matches):
+        matches = np.flatnonzero(truth.of(query)) if query not in found else []
+        if not len(matches):
             continue
         overlaps = views.overlaps(query, matches)
         best = int(np.argmax(overlaps))

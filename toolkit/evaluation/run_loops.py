@@ -21,9 +21,13 @@ from toolkit.evaluation.loops import (
 from toolkit.evaluation.metrics import Metrics
 from toolkit.evaluation.options import TruthErrorOptions
 from toolkit.geometry.frustum import far_depth_m, observed_points
+from toolkit.keyframe import evenly_spaced
 
 # Number of observed points per frame for computing overlap.
 _POINTS = 300
+# Longer sequences are evaluated on this number of evenly spaced frames and of searched keyframes,
+# besides the frames of accepted loops: all pairs of frames would take hours.
+_MAX_FRAMES, _SAMPLED, _SAMPLED_SEARCHES = 1500, 500, 300
 
 
 def run_loop_metrics(
@@ -41,7 +45,7 @@ def run_loop_metrics(
 
     Args:
         records: records of loops.jsonl.
-        dataset: the dataset with ground truth; every frame is read once.
+        dataset: the dataset with ground truth; every frame is read once, or some of a long one.
         options: definition of a true loop, with the gap of the detector.
         own: error of the ground truth itself; none by default.
 
@@ -55,7 +59,6 @@ def run_loop_metrics(
     searched = [r["query"] for r in records if r["kind"] == "search"]
     if not searched or dataset.ground_truth is None:
         return {}
-    views = true_views(dataset)
     verified = [
         (r["query"], r["match"])
         for r in accepted_edges(records)
@@ -64,15 +67,22 @@ def run_loop_metrics(
     candidates = [
         (r["query"], r["match"]) for r in records if r["kind"] == "candidate" and r["accepted"]
     ]
+    views = loop_views(dataset, records)
+    compared = searched_frames(dataset, records)
     assert views.timestamps_s is not None
     errors = edge_errors(posed_edges(records), views.T_world_camera, views.timestamps_s, own)
     definitions = loop_definitions(options)
     return {
         "searched": len(set(searched)),
+        "frames_compared": len(views.far_m),
         "edges": edge_metrics(errors, own),
-        "verified": loop_metrics(views, searched, verified, options),
-        "suspected": loop_metrics(views, searched, candidates, options),
-        "conventions": {name: loop_convention(each) for name, each in definitions.items()},
+        "verified": loop_metrics(views, compared, verified, options),
+        "suspected": loop_metrics(views, compared, candidates, options),
+        "conventions": {
+            name: loop_convention(each)
+            for name, each in definitions.items()
+            if views.rows is None or each.interval == 1
+        },
     }
 
 
@@ -101,20 +111,57 @@ def _edge(record: dict[str, Any]) -> tuple[str, int, int]:
     return "keyframes", record["match"], record["query"]
 
 
-def true_views(dataset: Dataset) -> TrueViews:
-    """Collect ground-truth poses and observed points of all frames of a dataset.
+def searched_frames(dataset: Dataset, records: Sequence[dict[str, Any]]) -> list[int]:
+    """The keyframes at which loops were searched, or some of them in a long sequence."""
+    searched = sorted({r["query"] for r in records if r["kind"] == "search"})
+    return searched if len(dataset) <= _MAX_FRAMES else evenly_spaced(searched, _SAMPLED_SEARCHES)
+
+
+def loop_views(dataset: Dataset, records: Sequence[dict[str, Any]]) -> TrueViews:
+    """The views on which the loops of a run are evaluated: all, or some of a long sequence.
+
+    Those are evenly spaced ones, the searched keyframes, and the frames of all accepted pairs, with
+    the neighbours of those that have a pose.
+    """
+    count = len(dataset)
+    if count <= _MAX_FRAMES:
+        return true_views(dataset)
+    frames = {*evenly_spaced(range(count), _SAMPLED), *searched_frames(dataset, records)}
+    for record in records:
+        if record.get("accepted") and record.get("match", -1) >= 0 and "query" in record:
+            frames.update((record["query"], record["match"]))
+    for edge in posed_edges(records):
+        frames.update(edge[name] + step for name in ("query", "match") for step in (-1, 0, 1))
+    return true_views(dataset, sorted(frame for frame in frames if 0 <= frame < count))
+
+
+def true_views(dataset: Dataset, frames: Sequence[int] | None = None) -> TrueViews:
+    """Collect ground-truth poses and observed points of a dataset.
 
     A frame that cannot be read has no pose.
+
+    Args:
+        frames: indices of the frames to read, in order; all by default.
     """
     truth = dataset.ground_truth
     assert truth is not None
-    poses, points, far_m, times_s = [], [], [], []
-    for frame in prefetched(fault_tolerant(dataset), range(len(dataset))):
-        T_world_camera = None if frame.fault else truth.at(frame.timestamp_s)
-        poses.append(np.full((4, 4), np.nan) if T_world_camera is None else T_world_camera)
+    read = range(len(dataset)) if frames is None else frames
+    T_world_camera = np.full((len(dataset), 4, 4), np.nan)
+    times_s, rows = np.full(len(dataset), np.nan), np.full(len(dataset), -1)
+    points, far_m = [], []
+    for row, frame in enumerate(prefetched(fault_tolerant(dataset), read)):
+        index = read[row]
+        T = None if frame.fault else truth.at(frame.timestamp_s)
+        if T is not None:
+            T_world_camera[index] = T
         points.append(observed_points(frame.camera, frame.depth_m, _POINTS))
         far_m.append(far_depth_m(frame.depth_m))
-        times_s.append(frame.timestamp_s)
+        times_s[index], rows[index] = frame.timestamp_s, row
     return TrueViews(
-        dataset.camera, np.array(poses), np.array(points), np.array(far_m), np.array(times_s)
+        dataset.camera,
+        T_world_camera,
+        np.array(points),
+        np.array(far_m),
+        times_s,
+        None if frames is None else rows,
     )
