@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -63,6 +64,8 @@ class FinishedSlam:
         result: of the finished run.
         metrics: metrics.json by dotted key. records: loops.jsonl.
         frames_ms: processing time of each frame. finish_s: of refinement and fusion.
+        finished_at_s: of the clock `time.perf_counter`, before evaluation and export.
+        results_mb: size of the run folder.
     """
 
     result: SlamResult
@@ -70,6 +73,8 @@ class FinishedSlam:
     records: list[dict[str, Any]]
     frames_ms: list[float]
     finish_s: float
+    finished_at_s: float
+    results_mb: float
 
 
 @contextmanager
@@ -99,12 +104,21 @@ def finished_slam(
                 slam.process_frame(frame)
         with watch.timed(Stage.FINISH):
             result = slam.finish()
+        finished_at_s = time.perf_counter()
         folder.check_taxonomy(result.taxonomy)
         write_results(result, dataset, folder, settings, RunRecord(watch, costs.costs()))
         metrics = flattened(read_metrics(folder.metrics))
         frames_ms = watch.durations_ms[Stage.ONLINE]
         (finish_ms,) = watch.durations_ms[Stage.FINISH]
-        yield FinishedSlam(result, metrics, read_loop_log(folder.loops), frames_ms, finish_ms / 1e3)
+        yield FinishedSlam(
+            result,
+            metrics,
+            read_loop_log(folder.loops),
+            frames_ms,
+            finish_ms / 1e3,
+            finished_at_s,
+            sum(f.stat().st_size for f in folder.path.rglob("*") if f.is_file()) / 1e6,
+        )
 
 
 class CoveredLens:

@@ -109,14 +109,16 @@ class TrueViews:
         It is the smaller of the fractions of points of one view visible in the other.
         """
         T_frame_others = se3.inverse(self.T_world_camera[frame]) @ self.T_world_camera[others]
-        (frame_points, far_m), (other_points, others_far_m) = map(self.observed, (frame, others))
+        frame_points, frame_far_m = self.observed(frame)
+        other_points, others_far_m = self.observed(others)
         in_others = in_view(
             self.camera,
             _transformed(se3.inverse(T_frame_others), frame_points[None]),
             near_plane_m(others_far_m)[:, None],
             others_far_m[:, None],
         )
-        near_m, far_m = near_plane_m(float(far_m)), float(far_m)
+        far_m = float(frame_far_m)
+        near_m = near_plane_m(far_m)
         in_frame = in_view(self.camera, _transformed(T_frame_others, other_points), near_m, far_m)
         return np.minimum(
             _visible_fraction(in_others, frame_points[None]),
@@ -273,9 +275,7 @@ class TrueMatches:
         if not self._known[frame]:
             return np.zeros(len(self._views), bool)
         among = self._known if among is None else self._known & among
-        _, close, overlap = _pairs_of(
-            self._views, frame, self._travelled_m, self._options, among
-        )
+        _, close, overlap = _pairs_of(self._views, frame, self._travelled_m, self._options, among)
         return np.asarray((close > 0) & (overlap >= self._options.min_overlap))
 
     def contain(self, pair: FramePair) -> bool:

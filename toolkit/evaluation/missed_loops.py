@@ -47,7 +47,9 @@ def missed_loops(
     found = {r["query"] for r in accepted_edges(records)}
     missed = []
     for query in searched:
-        matches = np.flatnonzero(truth.of(query)) if query not in found else []
+        if query in found:
+            continue
+        matches = np.flatnonzero(truth.of(query))
         if not len(matches):
             continue
         overlaps = views.overlaps(query, matches)

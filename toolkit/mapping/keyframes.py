@@ -39,10 +39,8 @@ def is_revisit(
     motions = se3.inverse(T_map_camera) @ np.array([k.T_map_camera for k in earlier])
     radians = se3.rotation_angle_rad(motions[:, :3, :3])
     metres = np.linalg.norm(motions[:, :3, 3], axis=1)
-    near = np.flatnonzero(radians < max_motion)
-    return any(
-        metres[i] < (max_motion - radians[i]) * earlier[i].median_depth_m for i in near
-    )
+    near = np.flatnonzero(radians < max_motion).tolist()
+    return any(metres[i] < (max_motion - radians[i]) * earlier[i].median_depth_m for i in near)
 
 
 def choose_window(
