@@ -79,6 +79,7 @@ class Recording:
 
 RECORDINGS = {
     "redkitchen": Recording("seven-scenes", "7scenes_redkitchen", (320, 240)),
+    "redkitchen-native": Recording("seven-scenes", "7scenes_redkitchen"),
     "redkitchen_30fps": Recording("seven-scenes", "7scenes_redkitchen_30fps", (320, 240)),
     "fr1_rpy": Recording("tum", "tum_fr1_rpy", (320, 240)),
     "office0": Recording("replica", "replica_office0"),
