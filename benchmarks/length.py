@@ -16,7 +16,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -113,29 +112,6 @@ class BackAndForth:
         return getattr(self._dataset, name)
 
 
-class Watched:
-    """A dataset that notes the memory of the process as frames are read."""
-
-    def __init__(self, dataset: Dataset) -> None:
-        self._dataset = dataset
-        self.resident_mb: dict[int, float] = {}
-
-    def __len__(self) -> int:
-        return len(self._dataset)
-
-    def __getitem__(self, index: int) -> Frame:
-        self.resident_mb.setdefault(index, _resident_mb())
-        return self._dataset[index]
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._dataset, name)
-
-
-def _resident_mb() -> float:
-    status = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-    return next(int(line.split()[1]) / 1e3 for line in status if line.startswith("VmRSS"))
-
-
 def main() -> None:
     """Measure one row for each sequence."""
     options = tyro.cli(Options)
@@ -176,14 +152,11 @@ def measure(job: dict[str, Any], _seed: int) -> Metrics:
 def measure_here(job: dict[str, Any]) -> Metrics:
     """Run one sequence in this process."""
     settings, dataset = _opened(job)
-    watched = Watched(dataset)
-    with finished_slam(settings, watched) as run:
+    with finished_slam(settings, dataset) as run:
         done_s = time.perf_counter()
         return run.metrics | {
             "ms per frame, quarters": _quarters(run.frames_ms, np.mean),
-            "MB resident, quarters": _quarters(
-                [watched.resident_mb[index] for index in range(len(dataset))], lambda part: part[-1]
-            ),
+            "MB resident, quarters": _quarters(run.memory_mb, lambda part: part[-1]),
             "finish_s": run.finish_s,
             "evaluation_s": done_s - run.finished_at_s,
             "submaps": len(run.result.submaps),

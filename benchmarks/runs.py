@@ -64,6 +64,7 @@ class FinishedSlam:
         result: of the finished run.
         metrics: metrics.json by dotted key. records: loops.jsonl.
         frames_ms: processing time of each frame. finish_s: of refinement and fusion.
+        memory_mb: resident memory of the process after each frame.
         finished_at_s: of the clock `time.perf_counter`, before evaluation and export.
         results_mb: size of the run folder.
     """
@@ -73,6 +74,7 @@ class FinishedSlam:
     records: list[dict[str, Any]]
     frames_ms: list[float]
     finish_s: float
+    memory_mb: list[float]
     finished_at_s: float
     results_mb: float
 
@@ -116,6 +118,7 @@ def finished_slam(
             read_loop_log(folder.loops),
             frames_ms,
             finish_ms / 1e3,
+            costs.costs().memory_mb.tolist(),
             finished_at_s,
             sum(f.stat().st_size for f in folder.path.rglob("*") if f.is_file()) / 1e6,
         )

@@ -71,17 +71,16 @@ def run_loop_metrics(
     compared = searched_frames(dataset, records)
     assert views.timestamps_s is not None
     errors = edge_errors(posed_edges(records), views.T_world_camera, views.timestamps_s, own)
-    definitions = loop_definitions(options)
+    scores = loop_metrics(views, compared, verified, options)
+    definitions = loop_definitions(options).items()
     return {
         "searched": len(set(searched)),
         "frames_compared": len(views.far_m),
         "edges": edge_metrics(errors, own),
-        "verified": loop_metrics(views, compared, verified, options),
+        "verified": scores,
         "suspected": loop_metrics(views, compared, candidates, options),
         "conventions": {
-            name: loop_convention(each)
-            for name, each in definitions.items()
-            if views.rows is None or each.interval == 1
+            name: loop_convention(each) for name, each in definitions if name in scores
         },
     }
 

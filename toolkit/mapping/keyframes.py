@@ -23,6 +23,30 @@ class KeyframeChoice(Protocol):
         ...
 
 
+def wants_view(
+    choice: KeyframeChoice,
+    keyframes: Sequence[Keyframe],
+    index: int,
+    T_map_camera: NDArray[np.float64],
+    revisit: float,
+) -> bool:
+    """Whether the view of a frame should become the next keyframe of a submap.
+
+    Args:
+        choice: decides by time and overlap.
+        keyframes: of the submap, in order; the first frame always becomes one.
+        index: of the frame.
+        T_map_camera: [4, 4] pose of the frame.
+        revisit: see `is_revisit`.
+    """
+    if not keyframes:
+        return True
+    last = keyframes[-1]
+    if not choice.wants(index - last.index, last.fraction_seen_by(T_map_camera)):
+        return False
+    return not is_revisit(keyframes, T_map_camera, revisit)
+
+
 def is_revisit(
     keyframes: Sequence[Keyframe], T_map_camera: NDArray[np.float64], max_motion: float
 ) -> bool:

@@ -30,7 +30,7 @@ from toolkit.mapping.final_optimisation import refine
 from toolkit.mapping.free_space import FreeSpace, contradicted_by_all, is_measured
 from toolkit.mapping.hole_filling import fill_all_holes
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
-from toolkit.mapping.keyframes import KeyframeChoice, choose_window, is_revisit
+from toolkit.mapping.keyframes import KeyframeChoice, choose_window, wants_view
 from toolkit.mapping.moving_objects import hide_moving_objects
 from toolkit.mapping.optimisation import KeyframeImages, MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
@@ -133,13 +133,8 @@ class Mapper:
         self, keyframes: Sequence[Keyframe], index: int, T_map_camera: NDArray[np.float64]
     ) -> bool:
         """Whether the view of a frame should become a keyframe, if the frame has depth."""
-        if not keyframes:
-            return True
-        last = keyframes[-1]
-        overlap = last.fraction_seen_by(T_map_camera)
-        if not self._keyframe_choice.wants(index - last.index, overlap):
-            return False
-        return not is_revisit(keyframes, T_map_camera, self.options.keyframes.revisit)
+        choice, revisit = self._keyframe_choice, self.options.keyframes.revisit
+        return wants_view(choice, keyframes, index, T_map_camera, revisit)
 
     def add_keyframe(self, submap: Submap, keyframe: Keyframe) -> MappingResult:
         """Extend and optimise a submap with a keyframe.
