@@ -85,7 +85,7 @@ def test_a_checkpoint_of_another_format_is_not_called_damaged(folder):
     metadata = json.loads(path.read_text())
     metadata["format"] = 1
     path.write_text(json.dumps(metadata))
-    with pytest.raises(RunFolderError, match=r"checkpoint format 1.*reads format 3.*new run"):
+    with pytest.raises(RunFolderError, match=r"checkpoint format 1.*reads format \d.*new run"):
         folder.load_checkpoint()
 
 

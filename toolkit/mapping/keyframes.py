@@ -12,7 +12,7 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 
 # Number of newest keyframes that do not count as an earlier visit.
-_RECENT = 20
+RECENT = 20
 
 
 class KeyframeChoice(Protocol):
@@ -29,6 +29,7 @@ def wants_view(
     index: int,
     T_map_camera: NDArray[np.float64],
     revisit: float,
+    visited: int = 0,
 ) -> bool:
     """Whether the view of a frame should become the next keyframe of a submap.
 
@@ -37,34 +38,47 @@ def wants_view(
         keyframes: of the submap, in order; the first frame always becomes one.
         index: of the frame.
         T_map_camera: [4, 4] pose of the frame.
-        revisit: see `is_revisit`.
+        revisit, visited: see `is_revisit`.
     """
     if not keyframes:
         return True
     last = keyframes[-1]
     if not choice.wants(index - last.index, last.fraction_seen_by(T_map_camera)):
         return False
-    return not is_revisit(keyframes, T_map_camera, revisit)
+    return not is_revisit(keyframes, T_map_camera, revisit, visited)
 
 
 def is_revisit(
-    keyframes: Sequence[Keyframe], T_map_camera: NDArray[np.float64], max_motion: float
+    keyframes: Sequence[Keyframe],
+    T_map_camera: NDArray[np.float64],
+    max_motion: float,
+    visited: int = 0,
 ) -> bool:
-    """Whether a keyframe other than the newest ones has about the view of a camera.
+    """Whether a keyframe of an earlier visit has about the view of a camera.
+
+    The newest keyframes are of the same visit, except for those of an earlier one.
 
     Args:
         keyframes: of one submap, in order.
         T_map_camera: [4, 4] pose of the camera.
         max_motion: between the views, as translation over median depth plus rotation in radians.
+        visited: number of first keyframes that are known to be of earlier visits.
     """
-    earlier = keyframes[:-_RECENT]
+    earlier = keyframes[: max(len(keyframes) - RECENT, visited)]
     if not earlier:
         return False
-    motions = se3.inverse(T_map_camera) @ np.array([k.T_map_camera for k in earlier])
-    radians = se3.rotation_angle_rad(motions[:, :3, :3])
-    metres = np.linalg.norm(motions[:, :3, 3], axis=1)
+    metres, radians = view_motions([k.T_map_camera for k in earlier], T_map_camera)
     near = np.flatnonzero(radians < max_motion).tolist()
     return any(metres[i] < (max_motion - radians[i]) * earlier[i].median_depth_m for i in near)
+
+
+def view_motions(
+    T_map_views: Sequence[NDArray[np.float64]], T_map_camera: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distances (metres) and angles (radians) [K] of K views from a camera, all [4, 4]."""
+    motions = se3.inverse(T_map_camera) @ np.array(T_map_views).reshape(-1, 4, 4)
+    radians = np.atleast_1d(se3.rotation_angle_rad(motions[:, :3, :3]))
+    return np.linalg.norm(motions[:, :3, 3], axis=1), radians
 
 
 def choose_window(

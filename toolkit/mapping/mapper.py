@@ -122,19 +122,27 @@ class Mapper:
         return Submap.empty(0, self.semantics.channels, self.device, self.options.centred)
 
     def wants(
-        self, keyframes: Sequence[Keyframe], frame: Frame, T_map_camera: NDArray[np.float64]
+        self,
+        keyframes: Sequence[Keyframe],
+        frame: Frame,
+        T_map_camera: NDArray[np.float64],
+        visited: int = 0,
     ) -> bool:
         """Whether a tracked frame should become the next keyframe of a submap."""
         if not keyframes:
             return True
-        return has_depth(frame) and self.wants_view(keyframes, frame.index, T_map_camera)
+        return has_depth(frame) and self.wants_view(keyframes, frame.index, T_map_camera, visited)
 
     def wants_view(
-        self, keyframes: Sequence[Keyframe], index: int, T_map_camera: NDArray[np.float64]
+        self,
+        keyframes: Sequence[Keyframe],
+        index: int,
+        T_map_camera: NDArray[np.float64],
+        visited: int = 0,
     ) -> bool:
-        """Whether the view of a frame should become a keyframe, if the frame has depth."""
+        """Whether the view of a frame with depth should become a keyframe; see `is_revisit`."""
         choice, revisit = self._keyframe_choice, self.options.keyframes.revisit
-        return wants_view(choice, keyframes, index, T_map_camera, revisit)
+        return wants_view(choice, keyframes, index, T_map_camera, revisit, visited)
 
     def add_keyframe(self, submap: Submap, keyframe: Keyframe) -> MappingResult:
         """Extend and optimise a submap with a keyframe.

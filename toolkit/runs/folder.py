@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 
 _SLOTS = ("0", "1")
 # To be incremented when the state of any part of a run changes its layout.
-CHECKPOINT_FORMAT = 3
+CHECKPOINT_FORMAT = 4
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ class FramePreparation:
         atlas, mapper = self._atlas, self._mapper
         if self.correction is None or not atlas.keyframes:
             return frame
-        if not mapper.wants_view(atlas.keyframes, frame.index, T_map_camera):
+        if not mapper.wants_view(atlas.keyframes, frame.index, T_map_camera, atlas.visited):
             return frame
         return self._with_prior(frame, T_map_camera)
 

@@ -199,6 +199,7 @@ class Recovery:
         exposure = IDENTITY if found is None else found.result.exposure
         anchor = Keyframe.from_frame(self._label(frame), np.eye(4), exposure)
         self._closer.submap_ending(atlas, self._mapper)
+        ended = atlas.active
         with self._recorder.timed(Stage.MAPPING):
             start_at(atlas, self._mapper, anchor, place, inherit=found is not None)
-        self._closer.submap_recovered(atlas, found)
+        self._closer.submap_recovered(atlas, ended, found)

@@ -19,7 +19,6 @@ from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.loops.closing.interface import LoopClosing
 from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.mapping.boundary import start_next
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
 from toolkit.mapping.keyframes import KeyframeChoice
@@ -35,10 +34,8 @@ from toolkit.slam.frame_preparation import FramePreparation, FrameSources
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.length_unit import METRE, LengthUnit
 from toolkit.slam.recovery import Located, Recovery
-from toolkit.slam.result import (
-    FrameResult,
-    SlamResult,
-)
+from toolkit.slam.result import FrameResult, SlamResult
+from toolkit.slam.submap_changes import SubmapChanges
 from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
@@ -87,6 +84,7 @@ class Slam:
         )
         label = self._preparation.labelled
         self._recovery = Recovery(front_end, mapper, self.atlas, self._path, label, self._recorder)
+        self._changes = SubmapChanges(front_end, mapper, self.atlas, self._recorder)
         self._fused: list[FusedMap | None] = []
 
     @property
@@ -169,11 +167,19 @@ class Slam:
         may_map &= not located.doubtful and not is_black(frame)
         if may_map:
             frame = self._preparation.for_mapping(frame, T_map_camera)
-        if may_map and self.mapper.wants(self.atlas.keyframes, frame, T_map_camera):
-            frame = self._preparation.as_keyframe(observed, frame, T_map_camera)
-            mapping = self._add_keyframe(frame, T_map_camera, tracking)
-            self._start_submap_if_due(tracking)
-            T_map_camera = self.atlas.keyframes[-1].T_map_camera
+        if may_map and self._wants(frame, T_map_camera):
+            again = self._changes.seen_again(frame, T_map_camera, tracking)
+            if again is None:
+                frame = self._preparation.as_keyframe(observed, frame, T_map_camera)
+                mapping = self._add_keyframe(frame, T_map_camera, tracking)
+                self._changes.start_if_due(tracking)
+                T_map_camera = self.atlas.keyframes[-1].T_map_camera
+            else:
+                self._between.select(self.atlas.keyframes[-1])
+                if self.mapper.deferred is None:
+                    self._map_intermediate_frames()
+                self._changes.enter(again, T_map_camera)
+                T_map_camera, tracking = again.T_submap_camera, again.result
         elif may_map and self.mapper.options.fill_holes:
             last, exposure = self.atlas.keyframes[-1], exposure_of(tracking)
             self._between.add(frame, last, T_map_camera, exposure)
@@ -325,6 +331,11 @@ class Slam:
             return frame
         return replace(frame, rgb=IDENTITY.with_balance(balance).apply(frame.rgb))
 
+    def _wants(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> bool:
+        """Whether the active submap should have a frame as a keyframe."""
+        keyframes, visited = self.atlas.keyframes, self.atlas.visited
+        return self.mapper.wants(keyframes, frame, T_map_camera, visited)
+
     def _add_keyframe(
         self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
     ) -> MappingResult:
@@ -358,22 +369,6 @@ class Slam:
         with self._recorder.timed(Stage.PLACING):
             keyframe.T_map_camera = self._placement.place(self.atlas.keyframes, keyframe)
         self.tracker.change_frame(keyframe.T_map_camera @ se3.inverse(T_tracked))
-
-    def _start_submap_if_due(self, tracking: TrackingResult | None) -> None:
-        """Start the next submap at the newest keyframe if allocation asks for it."""
-        verdict = self.atlas.judge()
-        if verdict is None or not verdict.starts_submap:
-            return
-        T_new_old = self._closer.submap_ending(self.atlas, self.mapper)
-        if T_new_old is not None:
-            self.tracker.change_frame(T_new_old)
-        with self._recorder.timed(Stage.MAPPING):
-            self.tracker.change_frame(start_next(self.atlas, self.mapper))
-        _log.info(
-            "Started submap %d at frame %d: %s.", self.atlas.active, verdict.index, verdict.reason
-        )
-        information = np.zeros((6, 6)) if tracking is None else tracking.information
-        self._closer.submap_started(self.atlas, information)
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues to identical results."""

@@ -33,6 +33,8 @@ class Atlas:
             optimised nor moved.
         unreadable: numbers of the submaps whose file was lost or damaged.
         boundary: options of the transition between submaps.
+        active: number of the active submap; without one, of the last one that was.
+        visited: number of keyframes that the active submap had when it was entered.
         device: of the active submap's Gaussians.
     """
 
@@ -45,7 +47,7 @@ class Atlas:
     ) -> None:
         self.verdicts: list[AllocationVerdict] = []
         self.unreadable: list[int] = []
-        self.saved = 0
+        self.saved = self.active = self.visited = 0
         self.boundary = boundary or BoundaryOptions()
         self.device = first.device
         self._allocation = allocation
@@ -53,11 +55,6 @@ class Atlas:
         self._submaps = [PagedSubmap.of(first, self._store)]
         self._none = GaussianCloud.empty(first.gaussians.features.shape[1])
         self._checkpoints: list[dict[str, int]] = []
-
-    @property
-    def active(self) -> int:
-        """Number of the active submap, the newest one."""
-        return len(self._submaps) - 1
 
     def __len__(self) -> int:
         return len(self._submaps)
@@ -68,7 +65,7 @@ class Atlas:
 
         None is until the camera is relocalised in a loaded map, and at the end of a run.
         """
-        return bool(self._submaps) and self._submaps[-1].active is not None
+        return bool(self._submaps) and self._submaps[self.active].active is not None
 
     @property
     def current(self) -> Submap:
@@ -77,7 +74,7 @@ class Atlas:
         Raises:
             RuntimeError: there is none.
         """
-        submap = self._submaps[-1].active if self._submaps else None
+        submap = self._submaps[self.active].active if self._submaps else None
         if submap is None:
             raise RuntimeError("no submap is active")
         return submap
@@ -105,6 +102,7 @@ class Atlas:
             self._submaps.append(PagedSubmap.of(submap, self._store))
             self._submaps[-1].page_out()
         self.saved = len(self._submaps)
+        self.active = self.saved - 1
 
     def T_world_submap(self, number: int) -> NDArray[np.float64]:
         """[4, 4] pose of an anchor."""
@@ -128,9 +126,9 @@ class Atlas:
 
     def describe(self, descriptor: NDArray[np.float32]) -> None:
         """Append the descriptor [D] of the active submap's newest keyframe."""
-        newest = self._submaps[-1]
-        rows = newest.descriptors.reshape(-1, len(descriptor))
-        newest.descriptors = np.concatenate([rows, descriptor[None]]).astype(np.float32)
+        active = self._submaps[self.active]
+        rows = active.descriptors.reshape(-1, len(descriptor))
+        active.descriptors = np.concatenate([rows, descriptor[None]]).astype(np.float32)
 
     def submap(self, number: int) -> Submap:
         """A submap on the CPU; the active one is shared if it is there.
@@ -153,14 +151,25 @@ class Atlas:
         return verdict
 
     def start(self, submap: Submap) -> None:
-        """Make the next submap the active one, and store the one before."""
+        """Make a new submap the active one, and store the one before."""
         if self.has_active_submap:
             self.store_active()
         self._submaps.append(PagedSubmap.of(submap, self._store))
+        self.active, self.visited = submap.number, 0
+
+    def enter(self, number: int) -> None:
+        """Make a stored submap of this run the active one again, and store the one before.
+
+        Raises:
+            ToolkitError: it cannot be read; nothing has changed.
+        """
+        self._submaps[number].page_in(self.device)
+        self.store_active()
+        self.active, self.visited = number, len(self._submaps[number].keyframe_poses)
 
     def store_active(self) -> None:
         """Move the active submap to the store; afterwards no submap is active."""
-        self._submaps[-1].page_out()
+        self._submaps[self.active].page_out()
 
     @property
     def stored_versions(self) -> dict[str, int]:
@@ -184,6 +193,7 @@ class Atlas:
         arrays: dict[str, NDArray] = {}
         arrays["anchors"] = np.array([submap.T_world_submap for submap in self._submaps])
         values: dict[str, Any] = {"store": self.stored_versions, "saved": self.saved}
+        values["visited"] = self.visited
         values["verdicts"] = [verdict.values() for verdict in self.verdicts]
         for submap in self._submaps:
             arrays[f"descriptors/{submap.number}"] = submap.descriptors
@@ -201,9 +211,12 @@ class Atlas:
             _restored(PagedSubmap(n, np.array(T), arrays[f"descriptors/{n}"], self._store), arrays)
             for n, T in enumerate(arrays["anchors"])
         ]
+        self.active, self.visited = len(self._submaps) - 1, int(values["visited"])
         if "active" in values:
             content = arrays_below(arrays, "active/")
-            self._submaps[-1].active = Submap.from_state(content, values["active"], self.device)
+            submap = Submap.from_state(content, values["active"], self.device)
+            self.active = submap.number
+            self._submaps[self.active].active = submap
         self.saved = int(values["saved"])
         self.verdicts = [AllocationVerdict.from_values(row) for row in values["verdicts"]]
         self.unreadable = self._store.restore(values["store"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from toolkit.exposure import Balance
@@ -63,6 +64,16 @@ class PagedSubmap:
         submap = self.store.get(self.number) if self.active is None else self.active
         submap.T_world_submap, submap.descriptors = self.T_world_submap, self.descriptors
         return submap.to("cpu")
+
+    def page_in(self, device: torch.device) -> None:
+        """Make the stored content active again, with the Gaussians on a device.
+
+        Raises:
+            ToolkitError: it is stored on disk and cannot be read.
+        """
+        submap = self.store.take(self.number)
+        submap.T_world_submap, submap.descriptors = self.T_world_submap, self.descriptors
+        self.active = submap.to(device)
 
     def page_out(self) -> None:
         """Store the active content, without the moments of its optimiser."""

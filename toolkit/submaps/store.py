@@ -89,6 +89,15 @@ class SubmapStore:
         self._add_to_cache(submap)
         return submap
 
+    def take(self, number: int) -> Submap:
+        """Return a submap to be changed until it is `put` again; raises as `get`.
+
+        The stored version stays valid, and the submap no longer counts for the cache.
+        """
+        submap = self.get(number)
+        del self._cache[number]
+        return submap
+
     def state(self) -> dict[str, int]:
         """Versions by submap number, with the keys as strings for JSON."""
         return {str(number): version for number, version in self._versions.items()}

@@ -171,7 +171,7 @@ class TestBetween:
         ended = atlas.active
         start_next(atlas, Mapper(FEW))
         registrar.truth[atlas.active] = frames[-1][1]
-        closer.submap_started(atlas, np.eye(6) * 1e6)
+        closer.submap_started(atlas, atlas.active - 1, np.eye(6) * 1e6)
         assert bool(registrar.asked) is not deferred
         closer.finish(atlas, Mapper(FEW))
         assert any(second == ended for _, second in registrar.asked)

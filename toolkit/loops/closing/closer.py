@@ -34,7 +34,13 @@ from toolkit.loops.pose_graph.correction import (
     PoseCorrection,
     submap_graph,
 )
-from toolkit.loops.pose_graph.graph import PoseEdge, connected_parts
+from toolkit.loops.pose_graph.graph import (
+    PoseEdge,
+    adjacent,
+    connected_parts,
+    covariance_in_frame,
+    information_of,
+)
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.mapping.mapper import Mapper
 from toolkit.stages import Stage
@@ -72,6 +78,9 @@ class LoopCloser:
         self._detector, self._parts, self._log = detector, parts, log
         self._recorder = recorder or NullRecorder()
         self._links: list[PoseEdge] = []
+        # From the newest submap to the active one, if the camera has gone back to that.
+        self._way_back: list[PoseEdge] = []
+        self._ended: set[int] = set()
         self._pending: list[LoopCandidate] = []
         self._deferred = False
         self._between = SubmapLoops(parts, self.options, self._record)
@@ -114,21 +123,46 @@ class LoopCloser:
             return None
         return atlas.keyframes[-1].T_map_camera @ se3.inverse(T_map_camera)
 
-    def submap_started(self, atlas: Atlas, information: Array) -> None:
+    def submap_started(self, atlas: Atlas, ended: int, information: Array) -> None:
         """Add the odometry edge to the new submap, and close the loops of the previous submap."""
-        self.add_odometry(atlas, information)
-        self._submap_ended(atlas)
+        self.add_odometry(atlas, ended, information)
+        self._submap_ended(atlas, ended)
 
-    def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
+    def submap_recovered(self, atlas: Atlas, ended: int, found: Relocalisation | None) -> None:
         """Connect a submap that started at a lost frame, and close the previous submap's loops."""
         self._connect(atlas, found)
-        self._submap_ended(atlas)
+        self._submap_ended(atlas, ended)
         self.keyframe_added(atlas)
 
-    def _submap_ended(self, atlas: Atlas) -> None:
-        """Close the loops of the submap before the active one, unless this is deferred."""
+    def enterable(self, atlas: Atlas) -> list[int]:
+        """Neighbours of the active submap by odometry, and those that loops connect to them.
+
+        The relative poses of others contain the drift of a long way, and their loops may be wrong.
+        """
+        links = [link for link in self._links if not _is_unknown(link)]
+        near = adjacent(adjacent({atlas.active}, links), self.loops)
+        near = adjacent(near, links)
+        return sorted(n for n in near if n != atlas.active and n >= atlas.saved)
+
+    def submap_entered(
+        self, atlas: Atlas, ended: int, T_ended_active: Array, information: Array
+    ) -> None:
+        """Remember the way back from the newest submap, and close the previous submap's loops."""
+        if atlas.active == len(atlas) - 1:
+            self._way_back = []
+        else:
+            path = list(atlas.keyframe_poses(ended).values())
+            drift = self._parts.noise.along(ended, atlas.active, path, information).covariance
+            drift = covariance_in_frame(drift, se3.inverse(path[-1]) @ T_ended_active)
+            step = PoseEdge(ended, atlas.active, T_ended_active, information_of(drift))
+            self._way_back = [way.then(step) for way in self._way_back] or [step]
+        self._submap_ended(atlas, ended)
+
+    def _submap_ended(self, atlas: Atlas, number: int) -> None:
+        """Close the loops of a submap that is no longer active, unless this is deferred."""
         if not self._deferred:
-            self.close_between(atlas, atlas.active - 1)
+            self.close_between(atlas, number)
+        self._ended.add(number)
 
     def finish(self, atlas: Atlas, mapper: Mapper) -> None:
         """Close all remaining loops, and register overlapping submaps once more."""
@@ -150,17 +184,22 @@ class LoopCloser:
             loops = KeyframeLoops(self._parts, self.options, self._record)
             return loops.close(atlas.current, mapper, candidates)
 
-    def add_odometry(self, atlas: Atlas, information: Array) -> None:
-        """Add the odometry edge from the previous submap's anchor to the active submap's anchor.
+    def add_odometry(self, atlas: Atlas, ended: int, information: Array) -> None:
+        """Add the odometry edge from the second newest submap's anchor to the active one's.
 
         Args:
+            ended: number of the submap in which the active one started. If it is an earlier one,
+                the edge leads back to it first.
             information: [6, 6] of the boundary keyframe, from the tracker.
         """
         new = atlas.active
         boundary = next(iter(atlas.keyframe_poses(new)))
-        poses = atlas.keyframe_poses(new - 1)
+        poses = atlas.keyframe_poses(ended)
         path = [T for index, T in poses.items() if index <= boundary]
-        edge = self._parts.noise.along(new - 1, new, path, information)
+        edge = self._parts.noise.along(ended, new, path, information)
+        for way in self._way_back:
+            edge = way.then(edge)
+        self._way_back = []
         T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
         self._links.append(replace(edge, T_first_second=se3.orthonormalise(T)))
 
@@ -171,6 +210,7 @@ class LoopCloser:
         the frame was relocalised in a submap, the relocalisation becomes a loop edge.
         """
         new = atlas.active
+        self._way_back = []
         T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
         self._links.append(PoseEdge(new - 1, new, T, _UNKNOWN_POSE))
         if found is None:
@@ -200,12 +240,14 @@ class LoopCloser:
             existing = {(loop.first, loop.second): loop for loop in self.loops}
             for other in sorted({c.match_submap for c in candidates}):
                 pairs = [c for c in candidates if c.match_submap == other]
+                edge = existing.get((other, number)) or existing.get((number, other))
+                if edge is not None and number in self._ended:
+                    continue  # the camera was here again
                 new = self._between.close(atlas, (other, number), pairs, self._links)
-                edge = existing.get((other, number))
                 if new is None and edge is not None:
                     self._between.confirm(atlas, edge, pairs)
                 if new is not None:
-                    self.loops.append(new)
+                    self.loops.append(new if other < number else new.inverted())
                     found = True
             return found and self._correct_between(atlas)
 
@@ -327,27 +369,32 @@ class LoopCloser:
         """Arrays and JSON values for `restore`."""
         arrays = {f"detector/{name}": array for name, array in self._detector.state().items()}
         ends = []
-        for name, edges in (("loops", self.loops), ("links", self._links)):
+        for name, edges in self._edges().items():
             T = np.array([edge.T_first_second for edge in edges]).reshape(-1, 4, 4)
             information = np.array([edge.information for edge in edges]).reshape(-1, 6, 6)
             arrays |= {f"{name}/T": T, f"{name}/information": information}
             ends.append([[edge.first, edge.second] for edge in edges])
         values = {
             "ends": ends,
+            "ended": sorted(self._ended),
             "suspected": [asdict(candidate) for candidate in self._pending],
             "log_bytes": None if self._log is None else self._log.size_bytes,
         }
         return arrays, values
 
+    def _edges(self) -> dict[str, list[PoseEdge]]:
+        return {"loops": self.loops, "links": self._links, "way_back": self._way_back}
+
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`, and truncate the log to its size at that time."""
         self._detector.restore(arrays_below(arrays, "detector/"))
         restored = []
-        for name, ends in zip(("loops", "links"), values["ends"], strict=True):
+        for name, ends in zip(self._edges(), values["ends"], strict=True):
             make = PoseEdge.loop if name == "loops" else PoseEdge
             rows = zip(ends, arrays[f"{name}/T"], arrays[f"{name}/information"], strict=True)
             restored.append([make(first, second, T, info) for (first, second), T, info in rows])
-        self.loops, self._links = restored
+        self.loops, self._links, self._way_back = restored
+        self._ended = set(values["ended"])
         self._pending = [LoopCandidate(**candidate) for candidate in values["suspected"]]
         if self._log is not None and values["log_bytes"] is not None:
             self._log.truncate(values["log_bytes"])

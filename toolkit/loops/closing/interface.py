@@ -58,19 +58,40 @@ class LoopClosing(Protocol):
         """
         ...
 
-    def submap_started(self, atlas: Atlas, information: Array) -> None:
-        """A submap has started at the newest keyframe of the previous submap.
+    def submap_started(self, atlas: Atlas, ended: int, information: Array) -> None:
+        """A submap has started at the newest keyframe of another submap.
 
         Args:
+            ended: number of the submap that was active before.
             information: [6, 6] information matrix of that keyframe, from the tracker.
         """
         ...
 
-    def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
+    def submap_recovered(self, atlas: Atlas, ended: int, found: Relocalisation | None) -> None:
         """A submap has started at a lost frame.
 
         Args:
+            ended: number of the submap that was active before.
             found: the relocalisation of the frame; None if it failed.
+        """
+        ...
+
+    def enterable(self, atlas: Atlas) -> list[int]:
+        """Submaps of this run in which tracking may continue where one of them shows the view.
+
+        Odometry and verified loops determine their poses relative to the active submap.
+        """
+        ...
+
+    def submap_entered(
+        self, atlas: Atlas, ended: int, T_ended_active: Array, information: Array
+    ) -> None:
+        """Tracking continues in an earlier submap, which is active again.
+
+        Args:
+            ended: number of the submap that was active before.
+            T_ended_active: [4, 4] from the pose of a frame in both.
+            information: [6, 6] of that frame in the active submap.
         """
         ...
 
@@ -128,10 +149,19 @@ class NoLoopClosing:
         """Move nothing."""
         return None
 
-    def submap_started(self, atlas: Atlas, information: Array) -> None:
+    def submap_started(self, atlas: Atlas, ended: int, information: Array) -> None:
         """Do nothing."""
 
-    def submap_recovered(self, atlas: Atlas, found: Relocalisation | None) -> None:
+    def submap_recovered(self, atlas: Atlas, ended: int, found: Relocalisation | None) -> None:
+        """Do nothing."""
+
+    def enterable(self, atlas: Atlas) -> list[int]:
+        """No relative pose was verified."""
+        return []
+
+    def submap_entered(
+        self, atlas: Atlas, ended: int, T_ended_active: Array, information: Array
+    ) -> None:
         """Do nothing."""
 
     def finish(self, atlas: Atlas, mapper: Mapper) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,11 +74,13 @@ class SubmapLoops:
         return sorted(chosen)
 
     def neighbours(self, atlas: Atlas) -> list[tuple[int, int]]:
-        """Pairs of consecutive submaps that share the keyframe at their boundary."""
-        pairs = [(a, b) for a, b in pairwise(atlas.readable()) if b >= atlas.saved]
+        """Pairs of submaps that share the keyframe at their boundary."""
+        readable = atlas.readable()
         return [
             (first, second)
-            for first, second in pairs
+            for second in readable
+            for first in readable
+            if first < second >= atlas.saved
             if next(iter(atlas.keyframe_poses(second))) in atlas.keyframe_poses(first)
         ]
 

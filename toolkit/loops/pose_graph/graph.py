@@ -70,6 +70,13 @@ class PoseEdge:
         """[6, 6] inverse of the information."""
         return _symmetric_inverse(self.information)
 
+    def then(self, following: PoseEdge) -> PoseEdge:
+        """The motion to the end of an odometry edge that starts where this one ends."""
+        T = se3.orthonormalise(self.T_first_second @ following.T_first_second)
+        moved = covariance_in_frame(self.covariance, following.T_first_second)
+        information = information_of(moved + following.covariance)
+        return PoseEdge(self.first, following.second, T, information)
+
     def inverted(self) -> PoseEdge:
         """The inverse measurement, from the second node to the first."""
         T_second_first = se3.inverse(self.T_first_second)
@@ -218,6 +225,13 @@ def _check_information(name: str, information: Array) -> None:
             f"{name}: information must be positive definite; give directions that were not "
             f"measured a large variance"
         )
+
+
+def adjacent(nodes: Iterable[int], edges: Iterable[PoseEdge]) -> set[int]:
+    """The nodes and those that an edge connects to one of them."""
+    nodes = set(nodes)
+    ends = [{edge.first, edge.second} for edge in edges]
+    return nodes.union(*(both for both in ends if both & nodes))
 
 
 def connected_parts(nodes: Iterable[int], edges: Iterable[PoseEdge]) -> list[tuple[int, ...]]:

@@ -1,0 +1,141 @@
+"""Changes of the active submap while the camera is tracked: the next one, or one seen before."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import ToolkitError
+from toolkit.frame import Frame, Recorder
+from toolkit.geometry import se3
+from toolkit.loops.relocalisation import Relocalisation
+from toolkit.mapping.boundary import start_next
+from toolkit.mapping.keyframes import RECENT, view_motions
+from toolkit.mapping.mapper import Mapper
+from toolkit.slam.front_end import FrontEnd
+from toolkit.stages import Stage
+from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.result import Health, TrackingResult
+from toolkit.tracking.tracker import LocatingTracker
+
+_log = logging.getLogger(__name__)
+
+# A submap shows a view again if it explains at least this fraction of what the active one explains.
+_MIN_EXPLAINED = 0.9
+
+
+class SubmapChanges:
+    """Starts submaps, and continues in the earlier one that shows what the camera sees.
+
+    Without the latter, every visit of a place would map it again, and a map would grow with the
+    time that the camera spends in it.
+    """
+
+    def __init__(
+        self, front_end: FrontEnd, mapper: Mapper, atlas: Atlas, recorder: Recorder
+    ) -> None:
+        self._tracker, self._closer = front_end.tracker, front_end.closer
+        self._mapper, self._atlas, self._recorder = mapper, atlas, recorder
+
+    def start_if_due(self, tracking: TrackingResult | None) -> None:
+        """Start the next submap at the newest keyframe if allocation asks for it.
+
+        Args:
+            tracking: of the keyframe.
+        """
+        atlas = self._atlas
+        verdict = atlas.judge()
+        if verdict is None or not verdict.starts_submap:
+            return
+        T_new_old = self._closer.submap_ending(atlas, self._mapper)
+        if T_new_old is not None:
+            self._tracker.change_frame(T_new_old)
+        ended = atlas.active
+        with self._recorder.timed(Stage.MAPPING):
+            self._tracker.change_frame(start_next(atlas, self._mapper))
+        _log.info(
+            "Started submap %d at frame %d: %s.", atlas.active, verdict.index, verdict.reason
+        )
+        information = np.zeros((6, 6)) if tracking is None else tracking.information
+        self._closer.submap_started(atlas, ended, information)
+
+    def seen_again(
+        self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
+    ) -> Relocalisation | None:
+        """Locate a frame in the earlier submap that has the nearest view; None if none shows it.
+
+        The frame must be found where the poses of the submaps predict it, so that a place that
+        only looks the same is not entered.
+
+        Args:
+            T_map_camera: [4, 4] pose in the active submap.
+            tracking: of the frame, by which that pose was found.
+        """
+        nearest = self._nearest(frame, T_map_camera)
+        if nearest is None or tracking is None or not isinstance(self._tracker, LocatingTracker):
+            return None
+        number, T_predicted = nearest
+        try:
+            gaussians = self._atlas.submap(number).gaussians.to(self._atlas.device)
+        except ToolkitError as error:
+            _log.debug("frame %d: %s", frame.index, error)
+            return None
+        with self._recorder.timed(Stage.RELOCALISATION):
+            result = self._tracker.locate(frame, gaussians, T_predicted, search=False)
+        explained = result.visible_fraction >= _MIN_EXPLAINED * tracking.visible_fraction
+        if result.health is not Health.GOOD or not explained:
+            return None
+        if _motion(frame, [T_predicted], result.T_map_camera)[0] >= self._max_motion:
+            return None
+        return Relocalisation(number, result)
+
+    def enter(self, again: Relocalisation, T_map_camera: NDArray[np.float64]) -> None:
+        """Continue in an earlier submap, in which a frame was located.
+
+        Args:
+            T_map_camera: [4, 4] pose of the frame in the active submap.
+        """
+        atlas, ended = self._atlas, self._atlas.active
+        T_ended_entered = T_map_camera @ se3.inverse(again.T_submap_camera)
+        T_new_old = self._closer.submap_ending(atlas, self._mapper)
+        if T_new_old is not None:
+            T_ended_entered = T_new_old @ T_ended_entered
+        self._mapper.skip_deferred_steps()
+        with self._recorder.timed(Stage.MAPPING):
+            atlas.enter(again.submap)
+        self._tracker.change_frame(again.T_submap_camera @ se3.inverse(T_map_camera))
+        _log.info("Continued in submap %d, which shows the view.", again.submap)
+        self._closer.submap_entered(atlas, ended, T_ended_entered, again.result.information)
+
+    @property
+    def _max_motion(self) -> float:
+        return self._mapper.options.keyframes.revisit
+
+    def _nearest(
+        self, frame: Frame, T_map_camera: NDArray[np.float64]
+    ) -> tuple[int, NDArray[np.float64]] | None:
+        """The earlier submap with the view nearest to a frame, and its pose [4, 4] there."""
+        atlas, limit = self._atlas, self._max_motion
+        found = None
+        # The newest keyframes of the submap before a new one are of the same visit.
+        if limit == 0.0 or (atlas.visited == 0 and len(atlas.keyframes) < RECENT):
+            return None
+        for number in self._closer.enterable(atlas):
+            T_world_camera = atlas.T_world_submap(atlas.active) @ T_map_camera
+            T_submap_camera = se3.inverse(atlas.T_world_submap(number)) @ T_world_camera
+            views = list(atlas.keyframe_poses(number).values())
+            nearest = float(_motion(frame, views, T_submap_camera).min(initial=np.inf))
+            if nearest < limit:
+                found, limit = (number, T_submap_camera), nearest
+        return found
+
+
+def _motion(
+    frame: Frame, T_map_views: list[NDArray[np.float64]], T_map_camera: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Motions [K] between K views and a frame: translation over median depth plus radians."""
+    metres, radians = view_motions(T_map_views, T_map_camera)
+    measured = frame.depth_m[frame.depth_m > 0]
+    return metres / float(np.median(measured)) + radians
