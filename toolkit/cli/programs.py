@@ -224,12 +224,13 @@ class MakeRoomOptions:
         "twins-objects",
         "orbit",
         "still",
+        "long",
     ] = "room"
     """Layout: one room, three on a corridor (rooms), twelve (hall), four that close a loop (ring;
     with objects moved or the lamps off in the first room when the camera returns: ring-moved,
     ring-light), three of which two are equal (twins) or have equal walls and different objects
-    (twins-objects), around a table with objects (orbit), or one room from a single place
-    (still)."""
+    (twins-objects), around a table with objects (orbit), one room from a single place (still), or
+    one room in which the camera moves freely for minutes (long)."""
     seed: NonNegativeInt = 0
     """Seed of furniture, textures, camera motion and sensor noise."""
     frames: PositiveInt | None = None

@@ -154,6 +154,11 @@ class Allocation:
 
 
 def path_length_m(keyframes: list[Keyframe]) -> float:
-    """Length of the path through the keyframes' positions, in metres."""
+    """Length of the path that led to new places, in metres.
+
+    Each keyframe adds its distance from the nearest earlier one, so that going back adds nothing.
+    """
     positions: NDArray[np.float64] = np.array([k.T_map_camera[:3, 3] for k in keyframes])
-    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    apart_m = np.linalg.norm(positions[:, None] - positions, axis=2)
+    apart_m[np.triu_indices(len(keyframes))] = np.inf
+    return float(apart_m[1:].min(axis=1, initial=np.inf).sum())

@@ -27,6 +27,7 @@ _CORRIDOR_DEPTH_M = 1.9
 _NORTH_OFFSET_M = 0.1  # offset of the camera path from the middle of a corridor
 _ORBIT_RADIUS_M, _ORBIT_HEIGHT_M, _TABLE_TOP_M = 1.05, 1.15, 0.55
 _ORBIT_POINTS, _ORBIT_STEP_RAD = 20, math.radians(20)
+_LONG_POINTS = 160
 
 
 @dataclass(frozen=True)
@@ -142,6 +143,21 @@ def still_camera() -> Layout:
             WayPoint((0.7 + shift[0], 0.2 + shift[1], _EYE_M), (-1.3, aim[0], 0.85 + aim[1]))
         )
     return replace(room, way_points=tuple(points))
+
+
+def one_room_for_long() -> Layout:
+    """The default room, in which the camera moves freely and looks in all directions, for minutes."""
+    rng = np.random.default_rng(0)
+    yaw, points = 0.0, []
+    for _ in range(_LONG_POINTS):
+        yaw += rng.uniform(-1.2, 1.2)
+        x, y = rng.uniform(-0.75, 0.75, 2)
+        height, pitch = _EYE_M + rng.uniform(-0.2, 0.15), rng.uniform(-0.45, 0.1)
+        ahead = math.cos(yaw), math.sin(yaw)
+        points.append(
+            WayPoint((x, y, height), (x + ahead[0], y + ahead[1], height + math.tan(pitch)))
+        )
+    return replace(single_room(), way_points=tuple(points))
 
 
 def _corridor_layout(
@@ -315,4 +331,5 @@ LAYOUTS: dict[str, Callable[[], Layout]] = {
     "hall": hall_of_rooms,
     "orbit": orbit_of_objects,
     "still": still_camera,
+    "long": one_room_for_long,
 }

@@ -44,8 +44,8 @@ class RoomSettings:
         layout: "room", "rooms" (three and a corridor), "hall" (twelve), "ring" (four that
             close a loop), "ring-moved" and "ring-light" (objects moved, or lamps off, in the first
             room when the camera returns), "twins" (two of three rooms are identical),
-            "twins-objects" (they contain different objects), "orbit" (around objects on a table)
-            or "still" (from one place).
+            "twins-objects" (they contain different objects), "orbit" (around objects on a table),
+            "still" (one room from one place) or "long" (freely through one room, for minutes).
         seed: random seed of furniture, textures, camera sway and noise, >= 0.
         frames: number of frames, distributed over the path; None for walking pace (300 for the
             default room, about 2000 for the others).
