@@ -243,6 +243,14 @@ class Keyframe:
         inside[inside] = _not_behind(z, depth_m)
         return inside
 
+    def measures(
+        self, points_map: NDArray[np.float64], max_depth_m: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Mask [P] of the points [P, 3] on the measured surface, not farther than depths [P]."""
+        inside, z, depth_m = self._depths_at(points_map)
+        inside[inside] = (np.abs(z - depth_m) < _ON_SURFACE * depth_m) & (z <= max_depth_m[inside])
+        return inside
+
     def shows(self, points_map: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Mask [P] of the points [P, 3] inside the image, hidden or not."""
         return self._projected(self._to_camera(points_map))[0]

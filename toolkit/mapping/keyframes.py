@@ -8,11 +8,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 
 # Number of newest keyframes that do not count as an earlier visit.
 RECENT = 20
+# Keyframes that a frame's surface is looked for in: the number of nearest ones, their maximum
+# motion from the frame, as translation over median depth plus radians, and the maximum ratio of
+# their distances from the surface. Pixels per row that are looked for.
+_NEAREST, _SIMILAR, _FARTHER, _SAMPLES = 12, 0.8, 1.3, 32
+# Fraction of the surface of a frame that shows nothing new.
+SEEN = 0.95
 
 
 class KeyframeChoice(Protocol):
@@ -70,6 +77,34 @@ def is_revisit(
     metres, radians = view_motions([k.T_map_camera for k in earlier], T_map_camera)
     near = np.flatnonzero(radians < max_motion).tolist()
     return any(metres[i] < (max_motion - radians[i]) * earlier[i].median_depth_m for i in near)
+
+
+def seen_fraction(
+    keyframes: Sequence[Keyframe], frame: Frame, T_map_camera: NDArray[np.float64]
+) -> float:
+    """Fraction of a frame's surface that keyframes with similar views have measured, from as near.
+
+    Args:
+        keyframes: of one submap.
+        T_map_camera: [4, 4] pose of the frame.
+
+    Returns:
+        Value in [0, 1]; 0 if the frame has no depth.
+    """
+    points = frame.camera.unproject(frame.depth_m, max(1, frame.camera.width // _SAMPLES))
+    points = points[points[..., 2] > 0]
+    if not len(points):
+        return 0.0
+    unseen = se3.transform_points(T_map_camera, points)
+    farthest_m = _FARTHER * points[:, 2]
+    metres, radians = view_motions([k.T_map_camera for k in keyframes], T_map_camera)
+    motions = metres / float(np.median(points[:, 2])) + radians
+    for number in np.argsort(motions, kind="stable")[:_NEAREST].tolist():
+        if motions[number] > _SIMILAR or not len(unseen):
+            break
+        rest = ~keyframes[number].measures(unseen, farthest_m)
+        unseen, farthest_m = unseen[rest], farthest_m[rest]
+    return 1.0 - len(unseen) / len(points)
 
 
 def view_motions(

@@ -12,7 +12,7 @@ from toolkit.frame import Frame, Recorder
 from toolkit.geometry import se3
 from toolkit.loops.relocalisation import Relocalisation
 from toolkit.mapping.boundary import start_next
-from toolkit.mapping.keyframes import RECENT, view_motions
+from toolkit.mapping.keyframes import RECENT, SEEN, seen_fraction, view_motions
 from toolkit.mapping.mapper import Mapper
 from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
@@ -24,6 +24,9 @@ _log = logging.getLogger(__name__)
 
 # A submap shows a view again if it explains at least this fraction of what the active one explains.
 _MIN_EXPLAINED = 0.9
+# Maximum motion between its predicted and its found pose there, as translation over median depth
+# plus radians.
+_MAX_MOTION = 0.05
 
 
 class SubmapChanges:
@@ -87,7 +90,7 @@ class SubmapChanges:
         explained = result.visible_fraction >= _MIN_EXPLAINED * tracking.visible_fraction
         if result.health is not Health.GOOD or not explained:
             return None
-        if _motion(frame, [T_predicted], result.T_map_camera)[0] >= self._max_motion:
+        if _motion(frame, [T_predicted], result.T_map_camera)[0] >= _MAX_MOTION:
             return None
         return Relocalisation(number, result)
 
@@ -109,27 +112,42 @@ class SubmapChanges:
         _log.info("Continued in submap %d, which shows the view.", again.submap)
         self._closer.submap_entered(atlas, ended, T_ended_entered, again.result.information)
 
-    @property
-    def _max_motion(self) -> float:
-        return self._mapper.options.keyframes.revisit
-
     def _nearest(
         self, frame: Frame, T_map_camera: NDArray[np.float64]
     ) -> tuple[int, NDArray[np.float64]] | None:
-        """The earlier submap with the view nearest to a frame, and its pose [4, 4] there."""
-        atlas, limit = self._atlas, self._max_motion
-        found = None
+        """The earlier submap that shows a frame's view, and the frame's pose [4, 4] there.
+
+        It has about the same view. If the active submap has enough keyframes, it suffices that
+        those of another one have measured the same surface.
+        """
+        atlas, limit = self._atlas, self._mapper.options.keyframes.revisit
         # The newest keyframes of the submap before a new one are of the same visit.
         if limit == 0.0 or (atlas.visited == 0 and len(atlas.keyframes) < RECENT):
             return None
+        found, most = None, SEEN
         for number in self._closer.enterable(atlas):
             T_world_camera = atlas.T_world_submap(atlas.active) @ T_map_camera
             T_submap_camera = se3.inverse(atlas.T_world_submap(number)) @ T_world_camera
             views = list(atlas.keyframe_poses(number).values())
             nearest = float(_motion(frame, views, T_submap_camera).min(initial=np.inf))
             if nearest < limit:
-                found, limit = (number, T_submap_camera), nearest
+                found, limit, most = (number, T_submap_camera), nearest, 1.0
+            elif most < 1.0 and atlas.has_enough_keyframes:
+                seen = self._seen_fraction(number, frame, T_submap_camera)
+                if seen >= most:
+                    found, most = (number, T_submap_camera), seen
         return found
+
+    def _seen_fraction(
+        self, number: int, frame: Frame, T_submap_camera: NDArray[np.float64]
+    ) -> float:
+        """Fraction of a frame's surface that a submap's keyframes have measured."""
+        try:
+            keyframes = self._atlas.submap(number).keyframes
+        except ToolkitError as error:
+            _log.debug("frame %d: %s", frame.index, error)
+            return 0.0
+        return seen_fraction(keyframes, frame, T_submap_camera)
 
 
 def _motion(

@@ -21,7 +21,7 @@ from toolkit.loops.closing.interface import LoopClosing
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
-from toolkit.mapping.keyframes import KeyframeChoice
+from toolkit.mapping.keyframes import SEEN, KeyframeChoice, seen_fraction
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.anchors import align_anchors
 from toolkit.refinement.fusion import FusedMap, fuse
@@ -334,7 +334,11 @@ class Slam:
     def _wants(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> bool:
         """Whether the active submap should have a frame as a keyframe."""
         keyframes, visited = self.atlas.keyframes, self.atlas.visited
-        return self.mapper.wants(keyframes, frame, T_map_camera, visited)
+        if not self.mapper.wants(keyframes, frame, T_map_camera, visited):
+            return False
+        if not self.atlas.has_enough_keyframes:
+            return True
+        return seen_fraction(keyframes, frame, T_map_camera) < SEEN
 
     def _add_keyframe(
         self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None

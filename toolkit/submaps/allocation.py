@@ -117,6 +117,8 @@ class Allocation:
         reason = ""
         if len(keyframes) >= options.max_keyframes:
             reason = f"{len(keyframes)} keyframes"
+        elif self.has_enough(keyframes) and overlap < options.min_overlap:
+            reason = f"{len(keyframes)} keyframes and overlap {overlap:.2f}"
         elif gaussians >= options.max_gaussians:
             reason = f"{gaussians} Gaussians"
         elif path_length_m(keyframes) >= options.max_path_m:
@@ -126,6 +128,10 @@ class Allocation:
         elif len(keyframes) >= options.min_keyframes:
             reason = self._new_view(overlap, divergence)
         return AllocationVerdict(newest.index, number, overlap, divergence, reason)
+
+    def has_enough(self, keyframes: Sequence[Keyframe]) -> bool:
+        """Whether a submap should only get keyframes of what it does not show yet."""
+        return len(keyframes) >= self.options.enough_keyframes
 
     def _new_view(self, overlap: float, divergence: float) -> str:
         """Why the view is spatially and semantically new; empty if it is not."""

@@ -142,6 +142,11 @@ class Atlas:
         """Replace the stored content of a submap."""
         self._submaps[submap.number].put(submap)
 
+    @property
+    def has_enough_keyframes(self) -> bool:
+        """Whether the active submap should only get keyframes of what it does not show yet."""
+        return self._allocation is not None and self._allocation.has_enough(self.keyframes)
+
     def judge(self) -> AllocationVerdict | None:
         """Decide whether the newest keyframe starts a submap; None without allocation."""
         if self._allocation is None:

@@ -35,7 +35,10 @@ class AllocationOptions:
     # While the camera explores, every view is new. A minimum size avoids tiny submaps.
     min_keyframes: Annotated[int, Range(ge=2)] = 60
     """Minimum number of keyframes of a submap."""
-    max_keyframes: Annotated[int, Range(ge=2)] = 150
+    enough_keyframes: Annotated[int, Range(ge=2)] = 150
+    """Number of keyframes from which a submap only gets views of surfaces that it does not show,
+    and ends at the first view that leaves its volume."""
+    max_keyframes: Annotated[int, Range(ge=2)] = 300
     """Maximum number of keyframes of a submap."""
     max_gaussians: PositiveInt = 1_000_000
     """Maximum number of Gaussians of a submap."""
