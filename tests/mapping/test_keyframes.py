@@ -110,6 +110,11 @@ class TestRevisit:
         assert not is_revisit(self.path(), turned(3.0 * 39), 0.05)
         assert not is_revisit(self.path()[:20], turned(0.0), 0.05)
 
+    def test_those_of_an_earlier_visit_count(self):
+        path = self.path()[:20]
+        assert is_revisit(path, turned(0.0), 0.05, visited=1)
+        assert not is_revisit(path, turned(6.0), 0.05, visited=1)
+
     def test_a_camera_that_rests_has_a_limited_number_of_keyframes(self):
         resting = [keyframe(i) for i in range(21)]
         assert not is_revisit(resting[:20], np.eye(4), 0.05)

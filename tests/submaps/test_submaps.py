@@ -179,6 +179,15 @@ class TestAllocation:
         steps[2][1, 3] = 2.0
         views = [replace(keyframes[0], T_map_camera=T) for T in steps]
         assert path_length_m(views) == pytest.approx(3.0)
+        back = [*views, views[1], views[0]]
+        assert path_length_m(back) == pytest.approx(3.0), "the way back adds nothing"
+
+    def test_with_enough_keyframes_a_submap_goes_on_where_it_is(self, keyframes):
+        there, elsewhere = keyframes[:3], turned(keyframes[0], 180)
+        caps = {"enough_keyframes": 3, "min_keyframes": 9}
+        assert not self.judge(there, **caps).starts_submap
+        assert "overlap" in self.judge([*there[:2], elsewhere], **caps).reason
+        assert not self.judge([there[0], elsewhere], **caps).starts_submap
 
 
 def some_submap(number, count=50, seed=0):
@@ -226,6 +235,35 @@ class TestSubmap:
         assert not atlas.has_active_submap and not len(atlas.gaussians) and atlas.keyframes == []
         with pytest.raises(RuntimeError, match="no submap is active"):
             _ = atlas.current
+
+
+    def test_an_earlier_one_goes_on(self, keyframes, tmp_path):
+        atlas = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
+        atlas.current.keyframes.extend(keyframes[:2])
+        atlas.start(replace(some_submap(1, seed=1), keyframes=[keyframes[1]]))
+        assert (atlas.active, atlas.visited) == (1, 0)
+        atlas.enter(0)
+        assert (atlas.active, atlas.visited) == (0, 2)
+        assert [k.index for k in atlas.keyframes] == [0, 1]
+        assert list(atlas.keyframe_poses(1)) == [1]
+        atlas.current.keyframes.append(keyframes[2])
+
+        again = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
+        again.restore(*atlas.state())
+        assert (again.active, again.visited, len(again)) == (0, 2, 2)
+        assert same(again.current, atlas.current) and same(again.submap(1), atlas.submap(1))
+        again.enter(1)
+        assert [k.index for k in again.submap(0).keyframes] == [0, 1, 2]
+        assert list(again.keyframe_poses(0)) == [0, 1, 2]
+
+    def test_one_that_cannot_be_read_is_not_entered(self, keyframes, tmp_path):
+        atlas = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
+        for number in (1, 2):  # only the last one that was used is in memory
+            atlas.start(some_submap(number))
+        (tmp_path / "0000_0" / "arrays.npz").write_bytes(b"")
+        with pytest.raises(FormatError):
+            atlas.enter(0)
+        assert atlas.active == 2 and atlas.current.number == 2
 
 
 class TestStore:

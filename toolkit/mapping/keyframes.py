@@ -17,9 +17,9 @@ RECENT = 20
 # Keyframes that a frame's surface is looked for in: the number of nearest ones, their maximum
 # motion from the frame, as translation over median depth plus radians, and the maximum ratio of
 # their distances from the surface. Pixels per row that are looked for.
-_NEAREST, _SIMILAR, _FARTHER, _SAMPLES = 12, 0.8, 1.3, 32
+_NEAREST, _SIMILAR, _FARTHER, _SAMPLES = 30, 1.0, 1.5, 32
 # Fraction of the surface of a frame that shows nothing new.
-SEEN = 0.95
+SEEN = 0.9
 
 
 class KeyframeChoice(Protocol):

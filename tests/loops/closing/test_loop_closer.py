@@ -138,7 +138,7 @@ def closed(
         closer.keyframe_added(atlas)
         if atlas.judge().starts_submap:
             start_next(atlas, mapper)
-            closer.add_odometry(atlas, np.eye(6) * 1e6)
+            closer.add_odometry(atlas, atlas.active - 1, np.eye(6) * 1e6)
             truth[atlas.active] = T_world_camera
             T_map_world = se3.inverse(atlas.T_world_submap(atlas.active))
     return atlas, closer, registrar
