@@ -12,7 +12,7 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.keyframes import choose_window, is_revisit
+from toolkit.mapping.keyframes import choose_window, is_revisit, seen_fraction
 from toolkit.mapping.options import KeyframePolicy
 
 CAMERA = Camera(40.0, 40.0, 31.5, 23.5, 64, 48)
@@ -127,6 +127,40 @@ class TestRevisit:
 
     def test_all_views_are_new_without_a_limit(self):
         assert not is_revisit(self.path(), np.eye(4), 0.0)
+
+
+class TestSeen:
+    """Views of a wall two metres ahead; 64 pixels are 77 degrees."""
+
+    def seen(self, keyframes: list[Keyframe], pose: np.ndarray) -> float:
+        return seen_fraction(keyframes, keyframe(99).as_frame(), pose)
+
+    def test_what_one_has_measured_is_seen(self):
+        assert self.seen([keyframe()], np.eye(4)) == 1.0
+        aside = np.eye(4)
+        aside[0, 3] = 32 * 2.0 / 40.0
+        assert self.seen([keyframe()], aside) == pytest.approx(0.5, abs=0.05)
+
+    def test_all_that_are_near_count(self):
+        left, right = np.eye(4), np.eye(4)
+        left[0, 3], right[0, 3] = -0.8, 0.8
+        views = [keyframe(0, left), keyframe(1, right)]
+        assert self.seen(views[:1], np.eye(4)) < 0.8
+        assert self.seen(views, np.eye(4)) > 0.98
+
+    def test_a_surface_behind_another_is_not_seen(self):
+        before = keyframe()
+        before.depth_m.fill_(1.0)
+        assert self.seen([before], np.eye(4)) == 0.0
+
+    def test_from_much_nearer_a_surface_is_a_new_one(self):
+        nearer = se3.exp(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+        frame = replace(keyframe(99).as_frame(), depth_m=np.full((48, 64), 1.0, np.float32))
+        assert seen_fraction([keyframe()], frame, nearer) == 0.0
+
+    def test_without_depth_nothing_is_seen(self):
+        frame = replace(keyframe(99).as_frame(), depth_m=np.zeros((48, 64), np.float32))
+        assert seen_fraction([keyframe()], frame, np.eye(4)) == 0.0
 
 
 class TestWindow:

@@ -184,6 +184,14 @@ def test_a_still_camera_moves_less_than_a_hundredth_of_the_distance():
     assert 0.02 < turned.max() < 0.15
 
 
+def test_a_long_visit_stays_away_from_walls_and_looks_everywhere():
+    T = hand_held_path(LAYOUTS["long"]().way_points, None, 1.0, np.random.default_rng(0))
+    assert len(T) > 9000
+    assert np.abs(T[:, :2, 3]).max() < 1.0 and 1.1 < T[:, 2, 3].min() < T[:, 2, 3].max() < 1.7
+    yaw = np.arctan2(T[:, 1, 2], T[:, 0, 2])
+    assert np.histogram(yaw, 12, (-np.pi, np.pi))[0].min() > 100
+
+
 def test_twins_of_objects_share_walls_and_textures_only():
     layout = LAYOUTS["twins-objects"]()
     first, _, third, _ = layout.rooms

@@ -15,6 +15,7 @@ from toolkit.geometry import se3
 from toolkit.loops.pose_graph.graph import (
     PoseEdge,
     PoseGraph,
+    adjacent,
     connected_parts,
     covariance_in_frame,
     information_in_frame,
@@ -47,6 +48,34 @@ def test_inverted_edge_has_the_same_chi2(seed: int) -> None:
     assert chi2 > 0
     assert turned.chi2(T_second, T_first) == pytest.approx(chi2, rel=1e-3)
     np.testing.assert_allclose(turned.inverted().information, edge.information, rtol=1e-6)
+
+
+def test_edges_one_after_the_other() -> None:
+    first = PoseEdge(3, 5, motion(0), information_of(1e-6 * information(0)))
+    second = PoseEdge(5, 4, motion(1), information_of(1e-6 * information(1)))
+    both = first.then(second)
+    assert (both.first, both.second) == (3, 4)
+    rng, expected = np.random.default_rng(0), first.T_first_second @ second.T_first_second
+    noise = [rng.multivariate_normal(np.zeros(6), e.covariance, 4000) for e in (first, second)]
+    ends = [
+        se3.log(
+            se3.inverse(expected)
+            @ first.T_first_second
+            @ se3.exp(a)
+            @ second.T_first_second
+            @ se3.exp(b)
+        )
+        for a, b in zip(*noise, strict=True)
+    ]
+    largest = np.abs(both.covariance).max()
+    np.testing.assert_allclose(np.cov(np.transpose(ends)), both.covariance, atol=0.15 * largest)
+
+
+def test_adjacent_nodes_are_one_edge_away() -> None:
+    edges = [PoseEdge(a, b, np.eye(4), np.eye(6)) for a, b in ((0, 1), (1, 2), (5, 3))]
+    assert adjacent({1}, edges) == {0, 1, 2}
+    assert adjacent({0, 3}, edges) == {0, 1, 3, 5}
+    assert adjacent({7}, edges) == {7} and adjacent(set(), edges) == set()
 
 
 @PATIENT

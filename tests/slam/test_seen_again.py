@@ -1,0 +1,123 @@
+"""Places seen again: the camera continues in the submap that shows them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_room import FEW, fed, fingerprint, first_steps
+
+from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.loops.closing.options import LoopClosureOptions
+from toolkit.mapping import keyframes
+from toolkit.mapping.mapper import Mapper
+from toolkit.mapping.options import KeyframePolicy
+from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam import submap_changes
+from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.system import Slam
+from toolkit.submaps.allocation import Allocation
+from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.options import AllocationOptions
+from toolkit.submaps.store import SubmapStore
+from toolkit.tracking.dense import DenseTracker
+
+pytestmark = pytest.mark.usefixtures("few_matches")
+COUNT = 24
+
+
+@pytest.fixture(scope="module")
+def there_and_back():
+    """24 frames of a room, and the same backwards."""
+    room = first_steps(COUNT)
+    shown = [*range(COUNT), *range(COUNT - 2, -1, -1)]
+    frames = [
+        replace(room.frames[k], index=i, timestamp_s=i / 30.0) for i, k in enumerate(shown)
+    ]
+    return frames, room.truth.T_world_camera[shown]
+
+
+@pytest.fixture(autouse=True)
+def short_visits(monkeypatch):
+    """Two keyframes before the newest one are of an earlier visit."""
+    for module in (keyframes, submap_changes):
+        monkeypatch.setattr(module, "RECENT", 3)
+
+
+def new_slam(folder=None, revisit=0.05):
+    options = replace(FEW, keyframes=KeyframePolicy(interval=2, revisit=revisit))
+    mapper = Mapper(options, np.random.default_rng(0))
+    context = ClosingContext(0, "auto", SemanticMapping(), None)
+    closer = build_loop_closer(LoopClosureOptions(), context)
+    allocation = Allocation(AllocationOptions(max_keyframes=5), 0)
+    atlas = Atlas(mapper.first_submap(), allocation, SubmapStore(folder, 0.0))
+    return Slam(FrontEnd(DenseTracker(), closer), mapper, atlas=atlas)
+
+
+@pytest.fixture(scope="module")
+def returned(there_and_back):
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (keyframes, submap_changes):
+            patch.setattr(module, "RECENT", 3)
+        slam = new_slam()
+        results = fed(slam, there_and_back[0])
+        entered = slam.atlas.active
+        return slam, results, entered, slam.finish()
+
+
+def test_the_way_back_goes_through_the_submaps_of_the_way_there(returned, there_and_back):
+    _, results, entered, final = returned
+    there, back = results[: COUNT - 1], results[COUNT:]
+    assert entered == 0 and [r.submap for r in back] == sorted(
+        (r.submap for r in back), reverse=True
+    )
+    # One may start before the newest keyframes are those of an earlier visit.
+    assert len(final.submaps) <= results[COUNT - 1].submap + 2
+    assert sum(r.keyframe for r in back) < 0.5 * sum(r.keyframe for r in there)
+    errors = final.trajectory.T_world_camera[:, :3, 3] - there_and_back[1][:, :3, 3]
+    assert np.linalg.norm(errors, axis=1).max() < 0.02
+
+
+def test_results_agree_with_the_path(returned):
+    _, results, _, final = returned
+    found = np.array([result.T_world_camera for result in results])
+    assert np.abs(found - final.trajectory.T_world_camera)[:, :3, 3].max() < 0.01
+    assert final.frame_submaps == [result.submap for result in results]
+
+
+def test_without_the_rule_every_visit_is_mapped(there_and_back, returned):
+    slam = new_slam(revisit=0.0)
+    fed(slam, there_and_back[0])
+    assert len(slam.atlas) > len(returned[3].submaps)
+
+
+def test_a_killed_run_continues_in_the_submap_that_it_had_entered(there_and_back, tmp_path):
+    frames, _ = there_and_back
+    whole = new_slam(tmp_path / "whole")
+    results = fed(whole, frames)
+    entered = next(i for i in range(COUNT, len(frames)) if results[i].submap < results[i - 1].submap)
+
+    slam = new_slam(tmp_path / "killed")
+    fed(slam, frames[: entered + 1])
+    assert 0 < slam.atlas.visited
+    again = new_slam(tmp_path / "killed")
+    again.restore(*slam.state())
+    fed(again, frames[entered + 1 :])
+    assert fingerprint(again) == fingerprint(whole)
+
+
+def test_a_new_submap_after_the_way_back_is_linked_to_the_newest_one(there_and_back):
+    """The odometry stays a chain: from the newest submap back to where the new one starts."""
+    frames, truth = there_and_back
+    slam = new_slam()
+    fed(slam, frames)
+    newest = len(slam.atlas) - 1
+    assert newest > 1 and slam.atlas.active == 0
+    closer = slam._closer
+    (way,) = closer._way_back
+    assert (way.first, way.second) == (newest, 0)
+    expected = np.linalg.inv(slam.atlas.T_world_submap(newest)) @ slam.atlas.T_world_submap(0)
+    assert np.abs(way.T_first_second - expected).max() < 0.02
+    direct = closer._parts.noise.covariance(1e9 * np.eye(6), 0.0, 0.0)
+    assert np.trace(way.covariance) > 2 * np.trace(direct), "it drifted on the way"
