@@ -109,6 +109,7 @@ def finished_slam(
         finished_at_s = time.perf_counter()
         folder.check_taxonomy(result.taxonomy)
         write_results(result, dataset, folder, settings, RunRecord(watch, costs.costs()))
+        slam.atlas.forget_checkpoints()
         metrics = flattened(read_metrics(folder.metrics))
         frames_ms = watch.durations_ms[Stage.ONLINE]
         (finish_ms,) = watch.durations_ms[Stage.FINISH]

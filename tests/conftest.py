@@ -73,6 +73,28 @@ def tiny_run(tiny_recording: Path) -> Path:
     return out
 
 
+@contextmanager
+def kept_checkpoints() -> Iterator[None]:
+    """Runs end as if they were killed just before they remove their checkpoints."""
+    from toolkit.runs.session import Session
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Session, "close_results", lambda session: session.slam.store_in_metres())
+        yield
+
+
+@pytest.fixture(scope="session")
+def resumable_run(tiny_recording: Path) -> Path:
+    """The folder of a run like `tiny_run` that still has its checkpoints. Read only."""
+    from toolkit.cli.main import main
+
+    out = tiny_recording.with_name("resumable")
+    words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording)]
+    with kept_checkpoints():
+        assert main(["run", *words, "--out", str(out)]) == 0
+    return out
+
+
 @pytest.fixture(scope="session")
 def submaps_run(tmp_path_factory) -> Path:
     """The folder of a finished run of several submaps. Read only: copy it to change it."""

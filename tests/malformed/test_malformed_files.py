@@ -191,7 +191,7 @@ TARGETS = [
     ("run/submaps/0000_0/arrays.npz", ["extend", "register"], damage.ANY_FILE),
     ("run/submaps", ["register", "extend"], damage.FOLDER),
     (
-        "run/checkpoint/0/metadata.json",
+        "killed/checkpoint/0/metadata.json",
         ["resume"],
         {n: c for n, c in damage.JSON_FILE.items() if n != "missing"}
         | {
@@ -203,7 +203,7 @@ TARGETS = [
             "text frame": damage.json_value("next_frame", value="two"),
         },
     ),
-    ("run/checkpoint/0/arrays.npz", ["resume"], damage.ANY_FILE),
+    ("killed/checkpoint/0/arrays.npz", ["resume"], damage.ANY_FILE),
     (
         "settings.yaml",
         ["settings"],
@@ -223,7 +223,7 @@ TARGETS = [
 
 
 # Content of several files that is read as a whole, and named by its folder.
-UNITS = ("run/semantics", "run/submaps/0000_0", "run/checkpoint")
+UNITS = ("run/semantics", "run/submaps/0000_0", "killed/checkpoint")
 # Damage that appears as a contradiction to another file, or as a lack of content.
 OTHER_NAMES = {
     "run: data/intrinsics.yaml other size": "data/depth/0000.png is 64x48 but the camera",

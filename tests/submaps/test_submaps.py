@@ -236,7 +236,6 @@ class TestSubmap:
         with pytest.raises(RuntimeError, match="no submap is active"):
             _ = atlas.current
 
-
     def test_an_earlier_one_goes_on(self, keyframes, tmp_path):
         atlas = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
         atlas.current.keyframes.extend(keyframes[:2])

@@ -6,7 +6,9 @@ import pytest
 
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.synthetic_rooms import atlas
 from toolkit.synthetic_rooms import textures as tx
+from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.patches import box, plate
 from toolkit.synthetic_rooms.paths import hand_held_path, look_at
@@ -109,3 +111,21 @@ def test_texture_position_follows_its_chart():
     edge = np.interp((left + right) / 2, row[60:68], np.arange(60, 68))
     assert right > 3 * left
     assert edge == pytest.approx(CAMERA.cx, abs=0.15)
+
+
+def test_large_scenes_have_a_wider_atlas_and_then_larger_texels(monkeypatch):
+    sizes = [(3000, 3000)] * 12
+    monkeypatch.setattr(atlas, "_MAX_ROWS", 60_000)
+    assert atlas._packed(sizes)[1:] == (4096, 36000)
+    monkeypatch.setattr(atlas, "_MAX_ROWS", 32767)
+    corners, columns, rows = atlas._packed(sizes)
+    assert (columns, rows) == (8192, 18000) and len(set(corners)) == 12
+    assert atlas._packed(sizes * 9) is None
+
+    parts = build_parts(LAYOUTS["room"](), 0)
+    fine, _ = atlas.paint_atlas(parts, 0.02)
+    monkeypatch.setattr(atlas, "_MAX_ROWS", fine.image.shape[0] // 2)
+    monkeypatch.setattr(atlas, "_WIDTHS", (fine.image.shape[1],))
+    coarse, _ = atlas.paint_atlas(parts, 0.02)
+    assert coarse.texel_m > fine.texel_m == 0.02
+    assert coarse.image.shape[0] < fine.image.shape[0] // 2

@@ -16,10 +16,10 @@ from toolkit.viewer.options import ShownContent
 
 
 @pytest.fixture
-def running(tiny_run, tmp_path):
+def running(resumable_run, tmp_path):
     """The folder of a run that has saved its last checkpoint, but has no results."""
     path = tmp_path / "running"
-    shutil.copytree(tiny_run, path)
+    shutil.copytree(resumable_run, path)
     for name in ("map.ply", "frames.json", "trajectory.txt", "metrics.json", "report.html"):
         (path / name).unlink()
     return path

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from toolkit.batch.plan import PlannedRun
+from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import LOCK
 from toolkit.runs.settings import dump_settings
@@ -46,8 +47,7 @@ def run_state(run: PlannedRun) -> RunState:
             "conflict",
             f"{folder} is a run with other settings; move it away or choose another 'out'",
         )
-    # The report is written last.
-    if (folder / "metrics.json").is_file() and (folder / "report.html").is_file():
+    if RunFolder(folder).is_finished:
         return RunState("finished", "finished")
     frame = checkpoint_frame(folder)
     return RunState("unfinished", "unfinished" if frame is None else f"unfinished, frame {frame}")

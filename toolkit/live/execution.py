@@ -210,7 +210,7 @@ def _execute(
         checkpoints.wait()
         result = session.finish()
         write_results(result, frames, folder, settings, RunRecord(recorder, costs.costs(), summary))
-        slam.store_in_metres()
+        session.close_results()
     if source.writer is not None and not options.save_frames:
         source.writer.remove()
         _log.info("Removed the frames of the camera; --save-frames keeps them.")

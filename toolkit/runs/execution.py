@@ -83,6 +83,9 @@ def run(
         if resume:
             folder.check_config(config)
             folder.remove_leftovers()
+            if folder.is_finished and not folder.has_checkpoint:
+                _log.info("%s is finished; there is nothing to resume.", out)
+                return
         try:
             followers = Observers([SnapshotWriter(), *observers])
             _execute(settings, dataset, folder, saved, progress, followers)
@@ -149,7 +152,7 @@ def _execute(
             prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), source.correction)
         record = RunRecord(recorder, costs.costs(), pace, source.motion, prior, findings)
         write_results(result, dataset, folder, settings, record)
-        slam.store_in_metres()
+        session.close_results()
 
 
 def _log_findings(mode: RunMode, dataset: RecordedDataset, findings: Sequence[str]) -> None:

@@ -226,6 +226,16 @@ class RunFolder:
         return None
 
     @property
+    def is_finished(self) -> bool:
+        """Whether all results are written; the report is the last one."""
+        return self.metrics.is_file() and self.report.is_file()
+
+    def remove_checkpoints(self) -> None:
+        """Remove the checkpoints of a run whose results are complete."""
+        for name in _SLOTS:
+            shutil.rmtree(self.checkpoints / name, ignore_errors=True)
+
+    @property
     def has_checkpoint(self) -> bool:
         """Whether there is a checkpoint, readable or damaged."""
         return bool(self.saved_checkpoints())

@@ -166,18 +166,20 @@ class ProgressReader:
         values = metadata["values"]
         atlas = arrays_below(arrays, "atlas/")
         anchors = [np.array(T) for T in atlas["anchors"]]
-        active = values["atlas"].get("active", {"keyframes": []})["keyframes"]
-        keyframes = _keyframes(active, atlas, anchors)
+        active = values["atlas"].get("active")
+        rows = [] if active is None else active["keyframes"]
+        number = None if active is None else int(active["number"])
+        keyframes = _keyframes(number, rows, atlas, anchors)
         poses = {k.index: k.T_world_camera for k in keyframes}
         tracked = values["path"]["tracked"]
         relative = arrays["path/T_keyframe_camera"]
         known = [i for i, row in enumerate(tracked) if row["keyframe"] in poses]
         path = [poses[tracked[i]["keyframe"]] @ relative[i] for i in known]
-        first = next(iter(active), None)
+        first = next(iter(rows), None)
         taxonomy, decode = self._decoder(arrays_below(arrays, "mapper/semantics/"))
         return RunProgress(
             next_frame=int(metadata["next_frame"]),
-            parts=self._parts(arrays, anchors, values["atlas"]["store"]),
+            parts=self._parts(arrays, anchors, values["atlas"]["store"], number),
             keyframes=keyframes,
             indices=[int(tracked[i]["index"]) for i in known],
             T_world_camera=np.array(path).reshape(-1, 4, 4),
@@ -189,16 +191,20 @@ class ProgressReader:
         )
 
     def _parts(
-        self, arrays: dict[str, NDArray], anchors: list[NDArray], versions: dict[str, int]
+        self,
+        arrays: dict[str, NDArray],
+        anchors: list[NDArray],
+        versions: dict[str, int],
+        active: int | None,
     ) -> list[MapPart]:
-        """Return the stored submaps, and the active one."""
-        clouds = self._stored({int(n): int(v) for n, v in versions.items()})
-        active = len(anchors) - 1
-        if str(active) not in versions:  # it is, until the camera is relocalised in a saved map
+        """Return the stored submaps, and the active one if there is one."""
+        stored = {int(n): int(v) for n, v in versions.items() if int(n) != active}
+        clouds = self._stored(stored)
+        if active is not None:
             content = arrays_below(arrays, "atlas/active/gaussians/")
             tensors = (torch.from_numpy(np.array(content[name])) for name in PARAMETERS)
             clouds[active] = GaussianCloud(*tensors)
-        return [MapPart(number, anchors[number], cloud) for number, cloud in clouds.items()]
+        return [MapPart(number, anchors[number], clouds[number]) for number in sorted(clouds)]
 
     def _stored(self, versions: dict[int, int]) -> dict[int, GaussianCloud]:
         """Return the Gaussians of stored submaps by number; only new versions are read."""
@@ -238,21 +244,24 @@ def read_serial(slot: Path) -> int | None:
 
 
 def _keyframes(
-    values: list[dict[str, Any]],
+    active: int | None,
+    rows: list[dict[str, Any]],
     atlas: dict[str, NDArray],
     anchors: list[NDArray],
 ) -> list[ProgressKeyframe]:
     """Return the keyframes of stored submaps, and those of the active one with images."""
-    active = len(anchors) - 1
     found = []
     for number, anchor in enumerate(anchors):
+        if number == active:
+            continue  # poses of a snapshot may include its stored ones
         indices = atlas.get(f"indices/{number}", np.zeros(0, np.int64))
         poses = atlas.get(f"poses/{number}", np.zeros((0, 4, 4)))
         found += [
             ProgressKeyframe(int(index), number, anchor @ T)
             for index, T in zip(indices, poses, strict=True)
         ]
-    for place, row in enumerate(values):
+    for place, row in enumerate(rows):
+        assert active is not None
         T_map_camera = atlas[f"active/keyframes/{place}/T_map_camera"]
         rgb = atlas[f"active/keyframes/{place}/rgb"]
         found.append(

@@ -115,6 +115,12 @@ class Session:
         self.observers.finished(result)
         return result
 
+    def close_results(self) -> None:
+        """After the results were written: store the submaps in metres, and only them."""
+        self.slam.store_in_metres()
+        self.folder.remove_checkpoints()
+        self.slam.atlas.forget_checkpoints()
+
 
 @contextmanager
 def logged_to(path: Path) -> Iterator[None]:

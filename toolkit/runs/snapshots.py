@@ -156,9 +156,12 @@ class SnapshotWriter:
             arrays[f"atlas/poses/{number}"] = metres(stored)
         arrays["path/T_keyframe_camera"] = metres(path.T_keyframe_camera)
         rows, doubts = zip(path.indices, path.keyframes, strict=True), path.doubtful_frames
-        keyframes = [{"index": k.index, "camera": asdict(k.camera)} for k in atlas.keyframes]
+        stored_and_active: dict[str, Any] = {"store": versions}
+        if atlas.has_active_submap:
+            keyframes = [{"index": k.index, "camera": asdict(k.camera)} for k in atlas.keyframes]
+            stored_and_active["active"] = {"number": atlas.active, "keyframes": keyframes}
         return arrays, {
-            "atlas": {"store": versions, "active": {"keyframes": keyframes}},
+            "atlas": stored_and_active,
             "path": {
                 "tracked": [
                     {"index": i, "keyframe": k, "doubt": doubts.get(i, "")} for i, k in rows

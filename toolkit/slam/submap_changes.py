@@ -58,9 +58,7 @@ class SubmapChanges:
         ended = atlas.active
         with self._recorder.timed(Stage.MAPPING):
             self._tracker.change_frame(start_next(atlas, self._mapper))
-        _log.info(
-            "Started submap %d at frame %d: %s.", atlas.active, verdict.index, verdict.reason
-        )
+        _log.info("Started submap %d at frame %d: %s.", atlas.active, verdict.index, verdict.reason)
         information = np.zeros((6, 6)) if tracking is None else tracking.information
         self._closer.submap_started(atlas, ended, information)
 

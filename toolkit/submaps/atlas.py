@@ -185,6 +185,11 @@ class Atlas:
         """Numbers of the submaps whose content can be read."""
         return [number for number in range(len(self)) if number not in self.unreadable]
 
+    def forget_checkpoints(self) -> None:
+        """Remove all files but those of the current state: no checkpoint is needed any more."""
+        self._checkpoints = []
+        self._store.prune()
+
     def checkpointed(self) -> None:
         """Remove the files that neither of the two newest checkpoints needs.
 

@@ -16,7 +16,10 @@ from toolkit.synthetic_rooms.parts import Part
 # each other at any mip level.
 _MARGIN = 8
 MIP_LEVELS = 4
-_WIDTH = 4096
+# Widths to try, in texels. OpenCV limits the sides of images to 32767, the mip levels included.
+_WIDTHS, _MAX_ROWS = (4096, 8192, 16384), 32767
+# Factor by which texels are enlarged if none suffices.
+_COARSER = 1.25
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,7 @@ class TextureAtlas:
     """Texture atlas.
 
     Attributes:
-        image: [rows, 4096, 3] uint8 RGB; mip level 0 at the top, smaller levels below.
+        image: [rows, columns, 3] uint8 RGB; mip level 0 at the top, smaller levels below.
         texel_m: edge of a texel of level 0, metres.
         level_origin: [MIP_LEVELS, 2] float32, (x, y) of each level's first texel.
     """
@@ -66,13 +69,22 @@ def paint_atlas(
 ) -> tuple[TextureAtlas, list[NDArray[np.float32]]]:
     """Paint the textures of all patches.
 
+    Args:
+        texel_m: edge of a texel, metres; in scenes that do not fit into an image, texels are
+            larger.
+
     Returns:
         The atlas, and the texel coordinates [R, C, 2] of each patch.
     """
     patches = [(part, patch) for part in parts for patch in part.patches]
-    sizes = [_texels(patch.chart_size_m, texel_m) for _, patch in patches]
-    corners, height = _pack([(w + 2 * _MARGIN, h + 2 * _MARGIN) for w, h in sizes])
-    base = np.zeros((height, _WIDTH, 3), dtype=np.uint8)
+    while True:
+        sizes = [_texels(patch.chart_size_m, texel_m) for _, patch in patches]
+        packed = _packed([(w + 2 * _MARGIN, h + 2 * _MARGIN) for w, h in sizes])
+        if packed is not None:
+            break
+        texel_m *= _COARSER
+    corners, width, height = packed
+    base = np.zeros((height, width, 3), dtype=np.uint8)
     streams = {id(part): iter(part.rng.spawn(len(part.patches))) for part in parts}
     coordinates = []
     for (part, patch), size, (left, top) in zip(patches, sizes, corners, strict=True):
@@ -90,15 +102,28 @@ def _texels(size_m: tuple[float, float], texel_m: float) -> tuple[int, int]:
     return width, height
 
 
-def _pack(sizes: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
+def _packed(sizes: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int, int] | None:
+    """Pack rectangles into the narrowest image that is not too high.
+
+    Returns:
+        Their corners, and the width and height of the image; None if all are too high.
+    """
+    for columns in _WIDTHS:
+        if max(width for width, _ in sizes) > columns:
+            continue
+        corners, rows = _pack(sizes, columns)
+        if rows + rows // 2 <= _MAX_ROWS - 1:
+            return corners, columns, rows
+    return None
+
+
+def _pack(sizes: list[tuple[int, int]], columns: int) -> tuple[list[tuple[int, int]], int]:
     """Pack rectangles in shelves by decreasing height; return their corners and the height."""
     corners = [(0, 0)] * len(sizes)
     left, top, shelf = 0, 0, 0
     for number in sorted(range(len(sizes)), key=lambda i: (-sizes[i][1], i)):
         width, height = sizes[number]
-        if width > _WIDTH:
-            raise ValueError(f"a chart of {width} texels is wider than the atlas; enlarge texel_m")
-        if left + width > _WIDTH:
+        if left + width > columns:
             left, top, shelf = 0, top + shelf, 0
         corners[number] = (left, top)
         left, shelf = left + width, max(shelf, height)
@@ -107,8 +132,8 @@ def _pack(sizes: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
 
 
 def _with_mip_levels(base: NDArray[np.uint8], texel_m: float) -> TextureAtlas:
-    height = base.shape[0]
-    image = np.zeros((height + height // 2, _WIDTH, 3), dtype=np.uint8)
+    height, width, _ = base.shape
+    image = np.zeros((height + height // 2, width, 3), dtype=np.uint8)
     image[:height] = base
     origin = [(0, 0)]
     level, left = base, 0

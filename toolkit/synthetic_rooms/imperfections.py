@@ -37,7 +37,8 @@ def white_balance_gains(frames: int, rng: np.random.Generator) -> NDArray[np.flo
     warmth, now, last = np.zeros(frames), 0.0, 0.0
     while (now := now + rng.uniform(*_STEP_FRAMES)) < frames + _STEP_DURATION:
         target = rng.uniform(-_WARMTH, _WARMTH)
-        warmth += (target - last) / (1.0 + np.exp(-4.0 * (time - now) / _STEP_DURATION))
+        before = np.minimum(-4.0 * (time - now) / _STEP_DURATION, 700.0)  # exp is finite
+        warmth += (target - last) / (1.0 + np.exp(before))
         last = target
     log_gains = np.stack([exposure + warmth, exposure, exposure - warmth], axis=1)
     return np.asarray(np.exp(log_gains - log_gains[0]))

@@ -146,7 +146,7 @@ def still_camera() -> Layout:
 
 
 def one_room_for_long() -> Layout:
-    """The default room, in which the camera moves freely and looks in all directions, for minutes."""
+    """The default room, in which the camera moves and looks around freely, for minutes."""
     rng = np.random.default_rng(0)
     yaw, points = 0.0, []
     for _ in range(_LONG_POINTS):
