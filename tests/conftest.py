@@ -73,19 +73,11 @@ def tiny_run(tiny_recording: Path) -> Path:
     return out
 
 
-@contextmanager
-def kept_checkpoints() -> Iterator[None]:
-    """Runs end as if they were killed just before they remove their checkpoints."""
-    from toolkit.runs.session import Session
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Session, "close_results", lambda session: session.slam.store_in_metres())
-        yield
-
-
 @pytest.fixture(scope="session")
 def resumable_run(tiny_recording: Path) -> Path:
     """The folder of a run like `tiny_run` that still has its checkpoints. Read only."""
+    from killed_runs import kept_checkpoints
+
     from toolkit.cli.main import main
 
     out = tiny_recording.with_name("resumable")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from killed_runs import kept_checkpoints
 
 from toolkit.cli.main import main
 from toolkit.evaluation.metrics import read_metrics
@@ -56,7 +57,8 @@ def run(recording: Path, out: Path, *more: str) -> None:
 
 def test_a_run_finds_and_accepts_a_loop_by_a_vision_transformer(returning, tiny_dinov2, tmp_path):
     kind = ["--loops.features.kind", "dinov2", "--loops.features.folder", str(tiny_dinov2)]
-    run(returning, tmp_path / "run", *SEARCH, *kind, "--loops.features.device", "cpu")
+    with kept_checkpoints():
+        run(returning, tmp_path / "run", *SEARCH, *kind, "--loops.features.device", "cpu")
 
     # The search index has the descriptors of this model, one for each frame.
     newest = max((tmp_path / "run" / "checkpoint").iterdir())

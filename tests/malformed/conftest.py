@@ -14,10 +14,11 @@ from toolkit.cli.main import main
 
 
 @pytest.fixture
-def place(tiny_recording: Path, tiny_run: Path, tmp_path: Path) -> Path:
-    """A folder with `data`, `run` and `other` (a run that stays whole)."""
+def place(tiny_recording: Path, tiny_run: Path, resumable_run: Path, tmp_path: Path) -> Path:
+    """A folder with `data`, `run`, `killed` with checkpoints, and `other`, which stays whole."""
     shutil.copytree(tiny_recording, tmp_path / "data")
     shutil.copytree(tiny_run, tmp_path / "run")
+    shutil.copytree(resumable_run, tmp_path / "killed")
     (tmp_path / "other").symlink_to(tiny_run)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("not to be lost")

@@ -17,6 +17,7 @@ JOBS = {
     "given": "run --dataset.kind folder --dataset.path data --out out --poses given",
     "check-data": "check-data --kind folder --path data",
     "resume": "run --config whole.yaml --out run --resume",
+    "resume killed": "run --config whole.yaml --out killed --resume",
     "extend": "run --dataset.kind folder --dataset.path data --out out --map run",
     "render": "render run --out out",
     "labels": "render run --out out --what labels",
@@ -192,7 +193,7 @@ TARGETS = [
     ("run/submaps", ["register", "extend"], damage.FOLDER),
     (
         "killed/checkpoint/0/metadata.json",
-        ["resume"],
+        ["resume killed"],
         {n: c for n, c in damage.JSON_FILE.items() if n != "missing"}
         | {
             "no threads": damage.without_key("threads"),
@@ -203,7 +204,7 @@ TARGETS = [
             "text frame": damage.json_value("next_frame", value="two"),
         },
     ),
-    ("killed/checkpoint/0/arrays.npz", ["resume"], damage.ANY_FILE),
+    ("killed/checkpoint/0/arrays.npz", ["resume killed"], damage.ANY_FILE),
     (
         "settings.yaml",
         ["settings"],

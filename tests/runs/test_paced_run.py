@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from killed_runs import kept_checkpoints
 from tiny_recording import FRAMES
 
 from toolkit.cli.main import main
@@ -93,15 +94,18 @@ def test_a_pace_of_zero_is_no_pace(tiny_run: Path, tiny_recording: Path, tmp_pat
         assert (tmp_path / "run" / name).read_bytes() == (tiny_run / name).read_bytes(), name
 
 
-def test_a_resumed_run_keeps_its_record(paced_run: Path, tmp_path: Path):
+def test_a_resumed_run_keeps_its_record(tiny_recording: Path, tmp_path: Path):
     """The last checkpoint is that after the last frame."""
-    copy = shutil.copytree(paced_run, tmp_path / "run")
-    before = read_json(copy / "metrics.json")
-    (copy / "metrics.json").unlink()
-    shutil.rmtree(copy / "renders")
-    words = ["run", "--config", str(copy / "config.yaml"), "--out", str(copy), "--resume"]
+    out = tmp_path / "run"
+    words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording), *OPTIONS]
+    with kept_checkpoints():
+        assert main(["run", *words, "--out", str(out)]) == 0
+    before = read_json(out / "metrics.json")
+    (out / "metrics.json").unlink()
+    shutil.rmtree(out / "renders")
+    words = ["run", "--config", str(out / "config.yaml"), "--out", str(out), "--resume"]
     assert main(words) == 0
-    after = read_json(copy / "metrics.json")
+    after = read_json(out / "metrics.json")
     assert after["pace"] == before["pace"]
 
 

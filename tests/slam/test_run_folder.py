@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from toolkit.cli.main import main
 from toolkit.errors import RunFolderError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
@@ -183,3 +184,15 @@ def test_what_a_run_wrote_is_not_taken_back(tmp_path):
     (folder.renders / "view.png").write_bytes(b"view")
     folder.discard()
     assert (folder.renders / "view.png").exists()
+
+
+def test_a_finished_run_has_one_copy_of_its_map_and_nothing_to_resume(submaps_run, caplog):
+    caplog.set_level("INFO")
+    assert not any((submaps_run / "checkpoint").iterdir())
+    names = [path.name for path in (submaps_run / "submaps").iterdir()]
+    assert len({name.split("_")[0] for name in names}) == len(names) > 1
+    before = (submaps_run / "metrics.json").stat().st_mtime_ns
+    config = str(submaps_run / "config.yaml")
+    assert main(["run", "--config", config, "--out", str(submaps_run), "--resume"]) == 0
+    assert "is finished; there is nothing to resume" in caplog.text
+    assert (submaps_run / "metrics.json").stat().st_mtime_ns == before

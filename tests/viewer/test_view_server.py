@@ -150,10 +150,10 @@ def test_an_unknown_class_is_reported(tiny_run, capsys):
     assert "--highlight unicorn" in capsys.readouterr().err
 
 
-def test_a_server_follows_a_run_until_it_is_finished(server, tiny_run, tmp_path):
+def test_a_server_follows_a_run_until_it_is_finished(server, tiny_run, resumable_run, tmp_path):
     """The run has saved its last checkpoint; its results appear while the server waits."""
     running = tmp_path / "running"
-    shutil.copytree(tiny_run, running)
+    shutil.copytree(resumable_run, running)
     (running / "map.ply").unlink()
     waits = []
 

@@ -91,7 +91,7 @@ def run(
             _execute(settings, dataset, folder, saved, progress, followers)
         except Exception:
             # Without a checkpoint there is nothing to resume.
-            if not resume and not folder.has_checkpoint:
+            if not (resume or folder.has_checkpoint or folder.is_finished):
                 folder.discard()
             raise
 
