@@ -116,7 +116,7 @@ def test_points_that_another_keyframe_measured_through_are_moved_away(room: Mapp
     mapper.add_keyframe(keyframes[0])
     mapper.submap.keyframes.append(keyframes[1])
     before = len(mapper.gaussians)
-    fill_all_holes(mapper.submap, mapper.mapper.view, mapper.mapper._densification)
+    fill_all_holes(mapper.submap, mapper.mapper.view, mapper.mapper.densification)
     added = mapper.gaussians.means[before:]
     assert len(added)
     assert not DepthView.of(keyframes[1]).measures_through(added).any()
@@ -135,7 +135,7 @@ def test_points_measured_through_at_every_factor_are_behind_everything(room: Map
     before = len(mapper.gaussians)
     views = [DepthView.of(keyframes[1])]
     count = fill_holes(
-        mapper.submap, keyframes[0], mapper.view(keyframes[0]), mapper.mapper._densification, views
+        mapper.submap, keyframes[0], mapper.view(keyframes[0]), mapper.mapper.densification, views
     )
     added = mapper.gaussians.means[before:]
     assert count == len(added) > 0
@@ -159,7 +159,7 @@ def test_every_keyframe_counts_however_many_there_are(room: MappedRoom):
     before = len(mapper.gaussians)
     views = [DepthView.of(keyframe) for keyframe in keyframes[1:]]
     view = mapper.view(keyframes[0])
-    fill_holes(mapper.submap, keyframes[0], view, mapper.mapper._densification, views)
+    fill_holes(mapper.submap, keyframes[0], view, mapper.mapper.densification, views)
     added = mapper.gaussians.means[before:]
     assert len(added) and not views[20].measures_through(added).any()
 

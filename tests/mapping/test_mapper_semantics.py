@@ -112,7 +112,7 @@ def test_a_class_that_only_a_frame_between_keyframes_shows_keeps_its_name(room):
     mask[:20, :20] = frame.depth_m[:20, :20] > 0
     count = len(mapper.gaussians)
     relabelled = replace(frame, labels=np.full_like(frame.labels, new))
-    mapper.mapper.seed_pixels(
+    mapper.mapper.densification.seed_pixels(
         mapper.submap, relabelled, room.T_map_camera[4], mask, mapper.keyframes[0]
     )
     decoded = mapper.mapper.semantics.decode_gaussians(mapper.gaussians.features[count:])

@@ -120,3 +120,20 @@ def test_a_new_submap_after_the_way_back_is_linked_to_the_newest_one(there_and_b
     assert np.abs(way.T_first_second - expected).max() < 0.02
     direct = closer._parts.noise.covariance(1e9 * np.eye(6), 0.0, 0.0)
     assert np.trace(way.covariance) > 2 * np.trace(direct), "it drifted on the way"
+
+
+def test_a_progress_bar_follows_the_steps_of_the_refinement(there_and_back):
+    slam = new_slam()
+    fed(slam, there_and_back[0][:12])
+    taken = []
+
+    def progress(steps):
+        taken.append(len(steps))
+        for step in steps:
+            yield step
+            taken.append(step)
+
+    slam.finish(progress)
+    keyframes = sum(len(submap.keyframe_indices) for submap in slam.result().submaps)
+    assert len(slam.atlas) > 1 and taken[0] == keyframes * FEW.final_iterations
+    assert taken[1:] == list(range(taken[0])), "the bar is complete"

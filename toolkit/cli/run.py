@@ -14,7 +14,6 @@ from toolkit.cli.arguments import parse_arguments
 from toolkit.runs.settings import PresetName, RunSettings, load_settings
 
 if TYPE_CHECKING:
-    from toolkit.frame import Frame
     from toolkit.runs.observers import ProgressObserver
 
 
@@ -48,6 +47,7 @@ class RunProgram(RunArguments):
 
 
 Program = TypeVar("Program", bound=RunArguments)
+Item = TypeVar("Item")
 
 
 def main(argv: Sequence[str]) -> int:
@@ -101,6 +101,8 @@ def _value(argv: list[str], flag: str) -> str | None:
     return found or None
 
 
-def with_progress(frames: Iterable[Frame], total: int | None, first: int) -> Iterable[Frame]:
-    """Wrap frames in a progress bar, which is only displayed in terminals."""
-    return tqdm(frames, total=total, initial=first, unit="frame", disable=None)
+def with_progress(
+    items: Iterable[Item], total: int | None, first: int, unit: str = "frame", /
+) -> Iterable[Item]:
+    """Wrap items in a progress bar, which is only displayed in terminals."""
+    return tqdm(items, total=total, initial=first, unit=unit, disable=None)

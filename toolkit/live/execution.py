@@ -208,7 +208,7 @@ def _execute(
             frames = RecordedDataset(replayed.recording, settings.image_size, seen)
         checkpoints.save(system, len(frames))
         checkpoints.wait()
-        result = session.finish()
+        result = session.finish(hooks.progress)
         write_results(result, frames, folder, settings, RunRecord(recorder, costs.costs(), summary))
         session.close_results()
     if source.writer is not None and not options.save_frames:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from torch import Tensor
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.seeding import seed
+from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe, Observed
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -100,6 +101,48 @@ class Densification:
     def covered(self, view: SurfaceView) -> Tensor:
         """Mask [H, W] of the pixels of a rendered view that the map covers."""
         return view.output.silhouette >= self._options.min_silhouette
+
+    def unmapped_pixels(
+        self,
+        view: SurfaceView,
+        frame: Frame,
+        T_map_camera: NDArray[np.float64],
+        keyframes: Sequence[Keyframe],
+    ) -> NDArray[np.bool_]:
+        """Mask [H, W] of a frame's measured pixels without Gaussians that no keyframe shows.
+
+        Args:
+            view: the map rendered from the frame.
+            T_map_camera: [4, 4] pose of the frame.
+            keyframes: those next to the frame.
+        """
+        mask = ~self.covered(view).cpu().numpy() & (frame.depth_m > 0)
+        points_map = se3.transform_points(T_map_camera, frame.camera.unproject(frame.depth_m)[mask])
+        mask[mask] = ~np.any([k.reaches(points_map) for k in keyframes], axis=0)
+        return mask
+
+    def seed_pixels(
+        self,
+        submap: Submap,
+        frame: Frame,
+        T_map_camera: NDArray[np.float64],
+        mask: NDArray[np.bool_],
+        keyframe: Keyframe,
+    ) -> None:
+        """Seed Gaussians for pixels of a frame that does not become a keyframe.
+
+        Args:
+            frame: at the map's exposure, with labels of the map's taxonomy.
+            T_map_camera: [4, 4] pose of the frame.
+            mask: [H, W], which pixels.
+            keyframe: the Gaussians move with it.
+        """
+        if self._semantics.channels == 0:
+            frame = replace(frame, labels=None)
+        if frame.labels is not None:
+            self._semantics.observe(torch.from_numpy(frame.labels[mask]))
+        seeds = self.seeds(frame, T_map_camera, mask)
+        submap.append(seeds, keyframe)
 
     def prune(self, submap: Submap) -> None:
         """Remove transparent, very large and non-finite Gaussians."""

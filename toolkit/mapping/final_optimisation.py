@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,6 +61,7 @@ def refine(
     optimisation: MapOptimisation,
     options: MapperOptions,
     generator: np.random.Generator,
+    steps: Iterator[int] | None = None,
 ) -> None:
     """Optimise a map over all keyframes, each equally often, in random order.
 
@@ -67,7 +69,9 @@ def refine(
 
     Args:
         generator: chooses the order.
+        steps: is advanced once per optimisation step, for a progress bar.
     """
+    steps = steps or iter(())
     optimiser, count = submap.optimiser, len(submap.keyframes)
     steps_before, start_rate = optimiser.steps, 1.0
     if submap.gaussians.centred_colours:
@@ -88,6 +92,7 @@ def refine(
             factor = start_rate ** (1.0 - progress[0] / progress[1])
             objective = replace(objective, rate_factor=factor)
             optimisation.step(submap, submap.keyframes[index], progress, objective)
+            next(steps, None)
         if surfaces is not None:
             submap.move(surfaces.project(submap.gaussians.means))
     optimiser.steps = optimiser.steps + removed_steps

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -78,6 +78,7 @@ class Mapper:
 
     Attributes:
         exposures: estimates those of keyframes.
+        densification: adds and removes Gaussians.
         deferred: steps that wait for `take_deferred_step`; None if they are taken at once.
     """
 
@@ -107,7 +108,7 @@ class Mapper:
         if self.options.final_feature > 0:
             features = ViewFeatures(describer or ViewDescriber(BuiltinEncoder()), self.semantics)
             feature_loss = FeatureLoss(features, self.options.final_feature)
-        self._densification = Densification(self.options, self.semantics, self._generator)
+        self.densification = Densification(self.options, self.semantics, self._generator)
         self._optimisation = MapOptimisation(
             self.options,
             self.semantics,
@@ -173,7 +174,7 @@ class Mapper:
                 hide_moving_objects(keyframe, view, others, options.min_silhouette)
             observed = self._observations.of(keyframe)
             empty = partial(self._free_space.seen_through, others=others) if free_space else None
-            seeded = self._densification.seed(submap, keyframe, view, observed, empty)
+            seeded = self.densification.seed(submap, keyframe, view, observed, empty)
         all_new = seeded == len(submap.gaussians)
         steps = options.first_iterations if all_new else options.iterations
         if self.deferred is None:
@@ -182,50 +183,8 @@ class Mapper:
         else:
             effort, loss = Effort(0, 0), float("nan")
             self.deferred.add(keyframe, steps)
-        self._densification.prune(submap)
+        self.densification.prune(submap)
         return MappingResult(seeded, loss, effort.taken)
-
-    def unmapped_pixels(
-        self,
-        gaussians: GaussianCloud,
-        frame: Frame,
-        T_map_camera: NDArray[np.float64],
-        keyframes: Sequence[Keyframe],
-    ) -> NDArray[np.bool_]:
-        """Mask [H, W] of a frame's measured pixels without Gaussians that no keyframe shows.
-
-        Args:
-            T_map_camera: [4, 4] pose of the frame.
-            keyframes: those next to the frame.
-        """
-        view = self.render(gaussians, frame.camera, T_map_camera)
-        mask = ~self._densification.covered(view).cpu().numpy() & (frame.depth_m > 0)
-        points_map = se3.transform_points(T_map_camera, frame.camera.unproject(frame.depth_m)[mask])
-        mask[mask] = ~np.any([k.reaches(points_map) for k in keyframes], axis=0)
-        return mask
-
-    def seed_pixels(
-        self,
-        submap: Submap,
-        frame: Frame,
-        T_map_camera: NDArray[np.float64],
-        mask: NDArray[np.bool_],
-        keyframe: Keyframe,
-    ) -> None:
-        """Seed Gaussians for pixels of a frame that does not become a keyframe.
-
-        Args:
-            frame: at the map's exposure, with labels of the map's taxonomy.
-            T_map_camera: [4, 4] pose of the frame.
-            mask: [H, W], which pixels.
-            keyframe: the Gaussians move with it.
-        """
-        if self.semantics.channels == 0:
-            frame = replace(frame, labels=None)
-        if frame.labels is not None:
-            self.semantics.observe(torch.from_numpy(frame.labels[mask]))
-        seeds = self._densification.seeds(frame, T_map_camera, mask)
-        submap.append(seeds, keyframe)
 
     def defer_steps(self, keyframes: KeyframeChoice) -> DeferredSteps:
         """Defer the steps of keyframes until `take_deferred_step`.
@@ -266,7 +225,7 @@ class Mapper:
             self.deferred.skip(steps)
             return
         self._optimise(submap, Effort(steps, steps), poses)
-        self._densification.prune(submap)
+        self.densification.prune(submap)
 
     def optimise_moved(self, submap: Submap, indices: Iterable[int], iterations: int) -> None:
         """Optimise a submap over keyframes that were moved, each equally often, at fixed poses.
@@ -288,7 +247,7 @@ class Mapper:
             for number, index in enumerate(self._generator.permutation(len(chosen))):
                 progress = (done * len(chosen) + number, iterations * len(chosen))
                 self.step(submap, chosen[index], progress, objective)
-        self._densification.prune(submap)
+        self.densification.prune(submap)
 
     def step(
         self, submap: Submap, keyframe: Keyframe, progress: tuple[int, int], objective: Objective
@@ -305,12 +264,18 @@ class Mapper:
         )
         return loss, gradients
 
-    def refine(self, submap: Submap, T_map_cameras: NDArray[np.float64] | None = None) -> None:
+    def refine(
+        self,
+        submap: Submap,
+        T_map_cameras: NDArray[np.float64] | None = None,
+        steps: Iterator[int] | None = None,
+    ) -> None:
         """Refine a submap over all its keyframes, at the end of a run; see `final_optimisation.py`.
 
         Args:
             T_map_cameras: [P, 4, 4] poses of all frames, in front of which space is cleared; only
                 those of the keyframes if absent.
+            steps: is advanced once per optimisation step, for a progress bar.
         """
         if T_map_cameras is None:
             T_map_cameras = np.array([k.T_map_camera for k in submap.keyframes])
@@ -329,10 +294,10 @@ class Mapper:
         self._clear_free_space(submap, T_map_cameras)
         if self.options.fill_holes:
             with self._recorder.timed(Stage.HOLE_FILLING):
-                fill_all_holes(submap, self.view, self._densification)
-        refine(submap, self._optimisation, self.options, self._generator)
+                fill_all_holes(submap, self.view, self.densification)
+        refine(submap, self._optimisation, self.options, self._generator, steps)
         self._clear_free_space(submap, T_map_cameras)
-        self._densification.prune(submap)
+        self.densification.prune(submap)
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""

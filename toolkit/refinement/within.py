@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,15 @@ from toolkit.geometry import se3
 from toolkit.mapping.mapper import Mapper
 from toolkit.submaps.atlas import Atlas
 
+# Wraps the numbers of all optimisation steps in a progress bar.
+StepProgress = Callable[[range], Iterable[int]]
+
 
 def refine_submaps(
-    atlas: Atlas, mapper: Mapper, T_world_cameras_of: Callable[[int], NDArray[np.float64]]
+    atlas: Atlas,
+    mapper: Mapper,
+    T_world_cameras_of: Callable[[int], NDArray[np.float64]],
+    progress: StepProgress = iter,
 ) -> None:
     """Optimise every readable submap of this run; all submaps are inactive afterwards.
 
@@ -22,14 +28,21 @@ def refine_submaps(
     Args:
         T_world_cameras_of: returns the poses [P, 4, 4] of all frames in the same part of the map as
             the submap of a number.
+        progress: follows the optimisation steps.
     """
+    own = [number for number in atlas.readable() if number >= atlas.saved]
+    keyframes = sum(len(atlas.keyframe_poses(number)) for number in own)
+    steps = iter(progress(range(keyframes * mapper.options.final_iterations)))
     if len(atlas) == 1:
         # The active submap still has its optimiser state.
-        mapper.refine(atlas.current, se3.inverse(atlas.T_world_submap(0)) @ T_world_cameras_of(0))
+        T_map_cameras = se3.inverse(atlas.T_world_submap(0)) @ T_world_cameras_of(0)
+        mapper.refine(atlas.current, T_map_cameras, steps)
         atlas.store_active()
-        return
-    atlas.store_active()
-    for number in (n for n in atlas.readable() if n >= atlas.saved):
-        submap = atlas.submap(number).to(mapper.device)
-        mapper.refine(submap, se3.inverse(submap.T_world_submap) @ T_world_cameras_of(number))
-        atlas.put(submap.to("cpu"))
+    else:
+        atlas.store_active()
+        for number in own:
+            submap = atlas.submap(number).to(mapper.device)
+            T_map_cameras = se3.inverse(submap.T_world_submap) @ T_world_cameras_of(number)
+            mapper.refine(submap, T_map_cameras, steps)
+            atlas.put(submap.to("cpu"))
+    next(steps, None)  # completes the progress bar

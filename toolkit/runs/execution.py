@@ -146,7 +146,7 @@ def _execute(
         checkpoints.save(system, len(dataset))
         checkpoints.wait()
         pace = None if paced is None else _log_pace(paced.summary())
-        result = session.finish()
+        result = session.finish(progress)
         prior = None
         if provider is not None:
             prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), source.correction)

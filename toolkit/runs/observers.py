@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.frame import Frame
@@ -16,12 +16,30 @@ from toolkit.slam.system import Slam
 
 _log = logging.getLogger(__name__)
 
-# Wraps frames in a progress bar; arguments: frames, total number if known, index of the first one.
-Progress = Callable[[Iterable[Frame], int | None, int], Iterable[Frame]]
+Item = TypeVar("Item")
 
 
-def no_progress(frames: Iterable[Frame], _total: int | None, _first: int) -> Iterable[Frame]:
-    return frames
+class Progress(Protocol):
+    """Wraps items in a progress bar."""
+
+    def __call__(
+        self, items: Iterable[Item], total: int | None, first: int, unit: str = "frame", /
+    ) -> Iterable[Item]:
+        """The same items.
+
+        Args:
+            items: frames, or numbers of steps.
+            total: their number if it is known. first: number of those that are done.
+            unit: what one of them is called.
+        """
+        ...
+
+
+def no_progress(
+    items: Iterable[Item], _total: int | None, _first: int, _unit: str = "frame", /
+) -> Iterable[Item]:
+    """Wrap them in nothing."""
+    return items
 
 
 @dataclass(frozen=True, eq=False)

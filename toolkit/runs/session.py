@@ -15,7 +15,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.runs.checkpoint_writer import CheckpointWriter, System
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.observers import ObservedRun, Observers
+from toolkit.runs.observers import ObservedRun, Observers, Progress
 from toolkit.runs.results import held_out
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.result import SlamResult
@@ -101,8 +101,12 @@ class Session:
         many = new_keyframes >= options.every_keyframes and self.settings.pace == 0
         return many or time.monotonic() - saved_at > options.every_s
 
-    def finish(self) -> SlamResult:
-        """Refine the map and return the final result."""
+    def finish(self, progress: Progress) -> SlamResult:
+        """Refine the map and return the final result.
+
+        Args:
+            progress: follows the steps of the refinement.
+        """
         keyframes = len(self.slam.result().keyframe_indices)
         submaps = len(self.slam.atlas)
         _log.info(
@@ -111,7 +115,7 @@ class Session:
             "one submap" if submaps == 1 else f"{submaps} submaps",
         )
         with self.costs.recorder.timed(Stage.FINISH):
-            result = self.slam.finish()
+            result = self.slam.finish(lambda steps: progress(steps, len(steps), 0, "step"))
         self.observers.finished(result)
         return result
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.depth_priors.correction import DepthCorrection
-from toolkit.exposure import IDENTITY, NEUTRAL
 from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
@@ -26,14 +24,15 @@ from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.anchors import align_anchors
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.parts import separate
-from toolkit.refinement.within import refine_submaps
+from toolkit.refinement.within import StepProgress, refine_submaps
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.collection import collected, parts_of, poses_beside
+from toolkit.slam.frame_locator import FrameLocator
 from toolkit.slam.frame_preparation import FramePreparation, FrameSources
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.length_unit import METRE, LengthUnit
-from toolkit.slam.recovery import Located, Recovery
+from toolkit.slam.recovery import Recovery
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.submap_changes import SubmapChanges
 from toolkit.stages import Stage
@@ -41,7 +40,6 @@ from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.threads import single_threaded_blas
 from toolkit.tracking.health import is_black
-from toolkit.tracking.proposals import FeatureProposals
 from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
 from toolkit.tracking.tracker import LocatingTracker
 
@@ -76,7 +74,6 @@ class Slam:
         self._recorder = recorder or NullRecorder()
         self._closer = front_end.closer
         self._placement, self._unit = front_end.placement, front_end.unit
-        self._features = FeatureProposals()
         self._path = CameraPath()
         self._between = IntermediateFrames()
         self._preparation = FramePreparation(
@@ -84,6 +81,7 @@ class Slam:
         )
         label = self._preparation.labelled
         self._recovery = Recovery(front_end, mapper, self.atlas, self._path, label, self._recorder)
+        self._locator = FrameLocator(front_end, self.atlas, self._recovery, self._recorder)
         self._changes = SubmapChanges(front_end, mapper, self.atlas, self._recorder)
         self._fused: list[FusedMap | None] = []
 
@@ -157,7 +155,7 @@ class Slam:
             self._path.add_lost(frame, unusable, tried=False)
             return FrameResult(frame.index, None, not_tracked(unusable))
         observed, frame = frame, self._preparation.before_tracking(frame)
-        located = self._locate(frame, may_map)
+        located = self._locator.locate(frame, may_map)
         T_map_camera, tracking = located.T_map_camera, located.tracking
         if T_map_camera is None:
             self._path.add_lost(frame, "" if tracking is None else tracking.reason)
@@ -248,19 +246,25 @@ class Slam:
         if not keyframes:
             return True  # of another submap
         T_map_camera = keyframes[0].T_map_camera @ between.T_keyframe_camera
+        densification, seen = self.mapper.densification, between.frame
         with self._recorder.timed(Stage.MAPPING):
-            mask = self.mapper.unmapped_pixels(
-                self.atlas.gaussians, between.frame, T_map_camera, keyframes
-            )
+            view = self.mapper.render(self.atlas.gaussians, seen.camera, T_map_camera)
+            mask = densification.unmapped_pixels(view, seen, T_map_camera, keyframes)
         if mask.mean() >= MIN_OUTSIDE:
             frame = self._preparation.labelled(between.at_map_exposure(), T_map_camera)
             with self._recorder.timed(Stage.MAPPING):
-                self.mapper.seed_pixels(self.atlas.current, frame, T_map_camera, mask, keyframes[0])
+                densification.seed_pixels(
+                    self.atlas.current, frame, T_map_camera, mask, keyframes[0]
+                )
         return True
 
     @single_threaded_blas()
-    def finish(self) -> SlamResult:
-        """Close the remaining loops, refine every submap over its keyframes, and fuse each part."""
+    def finish(self, progress: StepProgress = iter) -> SlamResult:
+        """Close the remaining loops, refine every submap over its keyframes, and fuse each part.
+
+        Args:
+            progress: wraps the numbers of the refinement's steps, for instance in a progress bar.
+        """
         if self.atlas.keyframes:
             self._between.select(self.atlas.keyframes[-1])
             self._map_intermediate_frames()
@@ -269,7 +273,7 @@ class Slam:
                 parts = self.parts
                 separate(self.atlas, parts)
                 poses = partial(poses_beside, self.atlas, self._path, parts)
-                refine_submaps(self.atlas, self.mapper, poses)
+                refine_submaps(self.atlas, self.mapper, poses, progress)
                 if self.mapper.options.final_anchors:
                     align_anchors(self.atlas, self.mapper, parts)
                 free_space = self.mapper.options.free_space
@@ -295,41 +299,6 @@ class Slam:
         for number in range(self.atlas.saved, len(self.atlas)):
             if number not in self.atlas.unreadable:
                 self.atlas.put(self.unit.submap_in_metres(self.atlas.submap(number)))
-
-    def _locate(self, frame: Frame, may_map: bool) -> Located:
-        """Estimate the pose of a frame in the active submap."""
-        if not self.atlas.has_active_submap:
-            lost = not_tracked("the camera has not been relocalised in the loaded map")
-            return self._recovery.recover(frame, lost, may_map)
-        if not self.atlas.keyframes:
-            if not may_map:
-                return Located(None, not_tracked("it is held out, and the map has not started"))
-            first = self.tracker.first_pose(frame)
-            unusable = not_tracked(
-                "the map cannot start with it: no pose, black, or too little depth"
-            )
-            return Located(first, None if first is not None else unusable)
-        with self._recorder.timed(Stage.TRACKING):
-            gaussians = self.atlas.gaussians
-            tracking = self.tracker.track(self._balanced(frame), gaussians, self._proposals)
-        if tracking.lost or tracking.doubtful:
-            found = self._recovery.recover(frame, tracking, may_map)
-            if tracking.lost or found.T_map_camera is not None:
-                return found
-        return Located(tracking.T_map_camera, tracking)
-
-    def _proposals(self, frame: Frame) -> Iterator[NDArray[np.float64]]:
-        """Initial poses T_map_camera [4, 4] of a frame from its features."""
-        keyframes = self.atlas.keyframes
-        similar = partial(self._closer.similar_keyframes, self.atlas)
-        return self._features.poses(frame, keyframes, similar)
-
-    def _balanced(self, frame: Frame) -> Frame:
-        """The frame at the white balance of the last keyframe, which is near its own."""
-        balance = self.atlas.keyframes[-1].exposure.balance
-        if balance == NEUTRAL:
-            return frame
-        return replace(frame, rgb=IDENTITY.with_balance(balance).apply(frame.rgb))
 
     def _wants(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> bool:
         """Whether the active submap should have a frame as a keyframe."""
