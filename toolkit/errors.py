@@ -29,5 +29,9 @@ class DependencyError(ToolkitError):
     """An optional package or a system library is missing."""
 
 
+class MemoryLimitError(ToolkitError):
+    """A run has nearly used up the memory that it may use."""
+
+
 class CameraError(ToolkitError):
     """A live camera is missing, was disconnected or sends no frames."""

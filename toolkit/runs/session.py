@@ -15,6 +15,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.runs.checkpoint_writer import CheckpointWriter, System
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.memory_limit import MemoryLimit
 from toolkit.runs.observers import ObservedRun, Observers, Progress
 from toolkit.runs.results import held_out
 from toolkit.runs.settings import RunSettings
@@ -72,11 +73,18 @@ class Session:
             frames: in order.
             checkpoints: saves them.
             expected: reports the expected duration; None if the number of frames is unknown.
+
+        Raises:
+            MemoryLimitError: nearly all memory is used; a checkpoint is saved.
         """
         with self.costs.recorder.timed(Stage.ONLINE):
-            saved_at, new_keyframes = time.monotonic(), 0
+            saved_at, new_keyframes, memory = time.monotonic(), 0, MemoryLimit()
             for frame in frames:
                 new_keyframes += self._process_frame(frame, expected)
+                if memory.reached():
+                    checkpoints.save(self.system, frame.index + 1)
+                    checkpoints.wait()
+                    raise memory.error(self.folder.path)
                 if self._checkpoint_due(saved_at, new_keyframes):
                     checkpoints.save(self.system, frame.index + 1)
                     saved_at, new_keyframes = time.monotonic(), 0
