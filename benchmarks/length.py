@@ -52,8 +52,7 @@ _ROOMS = {"mapping": {"iterations": 3, "final_iterations": 1}, "submaps": {"memo
 ROWS: dict[str, dict[str, Any]] = {
     "3 rooms, 600 frames": {"room": "rooms", "settings": _ROOMS},
     "12 rooms, 2400 frames": {"room": "hall", "settings": _ROOMS},
-    "12 rooms, 3600 frames": {"room": "hall-large", "laps": 1},
-    "12 rooms, 36000 frames": {"room": "hall-large", "laps": 10},
+    "12 rooms, 36000 frames": {"room": "hall", "laps": 15, "settings": _ROOMS},
     "free motion, 2300 frames": {"room": "long", "frames": 2300},
     "free motion, 9300 frames": {"room": "long"},
     "kitchen, 600 frames": {"laps": 1},
@@ -61,7 +60,7 @@ ROWS: dict[str, dict[str, Any]] = {
 }
 _PAIRS = {
     "more rooms": ("3 rooms, 600 frames", "12 rooms, 2400 frames"),
-    "the same twelve rooms": ("12 rooms, 3600 frames", "12 rooms, 36000 frames"),
+    "the same twelve rooms": ("12 rooms, 2400 frames", "12 rooms, 36000 frames"),
     "the same room": ("free motion, 2300 frames", "free motion, 9300 frames"),
     "the same kitchen": ("kitchen, 600 frames", "kitchen, 6000 frames"),
 }

@@ -114,7 +114,7 @@ def test_a_new_submap_after_the_way_back_is_linked_to_the_newest_one(there_and_b
     newest = len(slam.atlas) - 1
     assert newest > 1 and slam.atlas.active == 0
     closer = slam._closer
-    (way,) = closer._way_back
+    (way,) = closer._odometry.way_back
     assert (way.first, way.second) == (newest, 0)
     expected = np.linalg.inv(slam.atlas.T_world_submap(newest)) @ slam.atlas.T_world_submap(0)
     assert np.abs(way.T_first_second - expected).max() < 0.02

@@ -255,6 +255,25 @@ class TestSubmap:
         assert [k.index for k in again.submap(0).keyframes] == [0, 1, 2]
         assert list(again.keyframe_poses(0)) == [0, 1, 2]
 
+    def test_what_did_not_change_is_not_written_again(self, keyframes, tmp_path):
+        atlas = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
+        atlas.current.keyframes.extend(keyframes[:2])
+        atlas.start(some_submap(1, seed=1))
+        for number in (0, 1, 0):
+            atlas.enter(number)
+            again = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
+            again.restore(*atlas.state())
+            again.store_active()
+            assert again.stored_versions == {"0": 0, "1": 0}
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["0000_0", "0001_0"]
+        before = atlas.current.gaussians.means.clone()
+        atlas.current.optimiser.moments(atlas.gaussians)
+        atlas.gaussians.means.add_(1.0)
+        atlas.enter(1)
+        assert atlas.stored_versions == {"0": 1, "1": 0}
+        assert torch.equal(atlas.submap(0).gaussians.means, before + 1.0)
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["0000_1", "0001_0"]
+
     def test_one_that_cannot_be_read_is_not_entered(self, keyframes, tmp_path):
         atlas = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
         for number in (1, 2):  # only the last one that was used is in memory

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
-from toolkit.frame import Frame, Recorder
+from toolkit.frame import Frame, FrameStamp, Recorder
 from toolkit.geometry import se3
+from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Relocalisation
 from toolkit.mapping.boundary import start_next
-from toolkit.mapping.keyframes import RECENT, SEEN, seen_fraction, view_motions
+from toolkit.mapping.keyframes import RECENT, SEEN, is_revisit, seen_fraction, view_motions
 from toolkit.mapping.mapper import Mapper
 from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
@@ -27,6 +30,21 @@ _MIN_EXPLAINED = 0.9
 # Maximum motion between its predicted and its found pose there, as translation over median depth
 # plus radians.
 _MAX_MOTION = 0.05
+# Larger motions between views, in the same unit, are not considered.
+_SIMILAR = 1.0
+# Number of frames for which the camera stays in a submap that it has entered.
+_MIN_STAY = 10
+
+
+@dataclass(frozen=True)
+class SeenAgain:
+    """A view that another submap shows.
+
+    Attributes:
+        found: the frame in that submap; None if the camera should stay in the active one.
+    """
+
+    found: Relocalisation | None
 
 
 class SubmapChanges:
@@ -41,6 +59,7 @@ class SubmapChanges:
     ) -> None:
         self._tracker, self._closer = front_end.tracker, front_end.closer
         self._mapper, self._atlas, self._recorder = mapper, atlas, recorder
+        self._entered_at = -_MIN_STAY
 
     def start_if_due(self, tracking: TrackingResult | None) -> None:
         """Start the next submap at the newest keyframe if allocation asks for it.
@@ -64,11 +83,12 @@ class SubmapChanges:
 
     def seen_again(
         self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
-    ) -> Relocalisation | None:
-        """Locate a frame in the earlier submap that has the nearest view; None if none shows it.
+    ) -> SeenAgain | None:
+        """Whether another submap shows a frame that the active one does not; None if none does.
 
-        The frame must be found where the poses of the submaps predict it, so that a place that
-        only looks the same is not entered.
+        The frame is located there, unless the active submap was entered shortly before. It must be
+        found where the poses of the submaps predict it, so that a place that only looks the same
+        is not entered.
 
         Args:
             T_map_camera: [4, 4] pose in the active submap.
@@ -77,12 +97,11 @@ class SubmapChanges:
         nearest = self._nearest(frame, T_map_camera)
         if nearest is None or tracking is None or not isinstance(self._tracker, LocatingTracker):
             return None
+        if frame.index - self._entered_at < _MIN_STAY:
+            return SeenAgain(None)
         number, T_predicted = nearest
-        try:
-            gaussians = self._atlas.submap(number).gaussians.to(self._atlas.device)
-        except ToolkitError as error:
-            _log.debug("frame %d: %s", frame.index, error)
-            return None
+        submap = self._atlas.submap(number)
+        gaussians = submap.gaussians.to(self._atlas.device)
         with self._recorder.timed(Stage.RELOCALISATION):
             result = self._tracker.locate(frame, gaussians, T_predicted, search=False)
         explained = result.visible_fraction >= _MIN_EXPLAINED * tracking.visible_fraction
@@ -90,62 +109,72 @@ class SubmapChanges:
             return None
         if _motion(frame, [T_predicted], result.T_map_camera)[0] >= _MAX_MOTION:
             return None
-        return Relocalisation(number, result)
+        if not self._shows(submap.keyframes, frame, result.T_map_camera):
+            return None
+        return SeenAgain(Relocalisation(number, result))
 
-    def enter(self, again: Relocalisation, T_map_camera: NDArray[np.float64]) -> None:
+    def enter(
+        self, again: Relocalisation, frame: FrameStamp, T_map_camera: NDArray[np.float64]
+    ) -> None:
         """Continue in an earlier submap, in which a frame was located.
 
         Args:
             T_map_camera: [4, 4] pose of the frame in the active submap.
         """
+        self._entered_at = frame.index
         atlas, ended = self._atlas, self._atlas.active
-        T_ended_entered = T_map_camera @ se3.inverse(again.T_submap_camera)
         T_new_old = self._closer.submap_ending(atlas, self._mapper)
-        if T_new_old is not None:
-            T_ended_entered = T_new_old @ T_ended_entered
+        T_ended_camera = T_map_camera if T_new_old is None else T_new_old @ T_map_camera
         self._mapper.skip_deferred_steps()
         with self._recorder.timed(Stage.MAPPING):
             atlas.enter(again.submap)
         self._tracker.change_frame(again.T_submap_camera @ se3.inverse(T_map_camera))
         _log.info("Continued in submap %d, which shows the view.", again.submap)
-        self._closer.submap_entered(atlas, ended, T_ended_entered, again.result.information)
+        self._closer.submap_entered(atlas, ended, T_ended_camera, again)
 
     def _nearest(
         self, frame: Frame, T_map_camera: NDArray[np.float64]
     ) -> tuple[int, NDArray[np.float64]] | None:
-        """The earlier submap that shows a frame's view, and the frame's pose [4, 4] there.
-
-        It has about the same view. If the active submap has enough keyframes, it suffices that
-        those of another one have measured the same surface.
-        """
-        atlas, limit = self._atlas, self._mapper.options.keyframes.revisit
+        """The submap with the nearest view among those that show a frame, and its pose there."""
+        atlas, found, least = self._atlas, None, _SIMILAR
         # The newest keyframes of the submap before a new one are of the same visit.
-        if limit == 0.0 or (atlas.visited == 0 and len(atlas.keyframes) < RECENT):
+        recent = atlas.visited == 0 and len(atlas.keyframes) < RECENT
+        if self._mapper.options.keyframes.revisit == 0.0 or recent:
             return None
-        found, most = None, SEEN
         for number in self._closer.enterable(atlas):
             T_world_camera = atlas.T_world_submap(atlas.active) @ T_map_camera
             T_submap_camera = se3.inverse(atlas.T_world_submap(number)) @ T_world_camera
             views = list(atlas.keyframe_poses(number).values())
             nearest = float(_motion(frame, views, T_submap_camera).min(initial=np.inf))
-            if nearest < limit:
-                found, limit, most = (number, T_submap_camera), nearest, 1.0
-            elif most < 1.0 and atlas.has_enough_keyframes:
-                seen = self._seen_fraction(number, frame, T_submap_camera)
-                if seen >= most:
-                    found, most = (number, T_submap_camera), seen
+            if nearest >= least:
+                continue
+            try:
+                keyframes = atlas.submap(number).keyframes
+            except ToolkitError as error:
+                _log.debug("frame %d: %s", frame.index, error)
+                continue
+            if self._shows(keyframes, frame, T_submap_camera):
+                found, least = (number, T_submap_camera), nearest
         return found
 
-    def _seen_fraction(
-        self, number: int, frame: Frame, T_submap_camera: NDArray[np.float64]
-    ) -> float:
-        """Fraction of a frame's surface that a submap's keyframes have measured."""
-        try:
-            keyframes = self._atlas.submap(number).keyframes
-        except ToolkitError as error:
-            _log.debug("frame %d: %s", frame.index, error)
-            return 0.0
-        return seen_fraction(keyframes, frame, T_submap_camera)
+    def _shows(
+        self, keyframes: list[Keyframe], frame: Frame, T_submap_camera: NDArray[np.float64]
+    ) -> bool:
+        """Whether a frame would not become a keyframe of an inactive submap."""
+        revisit = self._mapper.options.keyframes.revisit
+        if is_revisit(keyframes, T_submap_camera, revisit, len(keyframes)):
+            return True
+        if not self._atlas.has_enough(keyframes):
+            return False
+        return seen_fraction(keyframes, frame, T_submap_camera) >= SEEN
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """JSON values from which `restore` continues identically."""
+        return {}, {"entered_at": self._entered_at}
+
+    def restore(self, _arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Restore an earlier `state`."""
+        self._entered_at = int(values["entered_at"])
 
 
 def _motion(

@@ -45,7 +45,16 @@ from toolkit.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
 
-_Part = Recovery | Mapper | Atlas | LoopClosing | CameraPath | IntermediateFrames | DepthCorrection
+_Part = (
+    SubmapChanges
+    | Recovery
+    | Mapper
+    | Atlas
+    | LoopClosing
+    | CameraPath
+    | IntermediateFrames
+    | DepthCorrection
+)
 
 
 class Slam:
@@ -172,12 +181,12 @@ class Slam:
                 mapping = self._add_keyframe(frame, T_map_camera, tracking)
                 self._changes.start_if_due(tracking)
                 T_map_camera = self.atlas.keyframes[-1].T_map_camera
-            else:
+            elif again.found is not None:
                 self._between.select(self.atlas.keyframes[-1])
                 if self.mapper.deferred is None:
                     self._map_intermediate_frames()
-                self._changes.enter(again, T_map_camera)
-                T_map_camera, tracking = again.T_submap_camera, again.result
+                self._changes.enter(again.found, frame, T_map_camera)
+                T_map_camera, tracking = again.found.T_submap_camera, again.found.result
         elif may_map and self.mapper.options.fill_holes:
             last, exposure = self.atlas.keyframes[-1], exposure_of(tracking)
             self._between.add(frame, last, T_map_camera, exposure)
@@ -305,7 +314,7 @@ class Slam:
         keyframes, visited = self.atlas.keyframes, self.atlas.visited
         if not self.mapper.wants(keyframes, frame, T_map_camera, visited):
             return False
-        if not self.atlas.has_enough_keyframes:
+        if not self.atlas.has_enough(keyframes):
             return True
         return seen_fraction(keyframes, frame, T_map_camera) < SEEN
 
@@ -371,6 +380,7 @@ class Slam:
             "path": self._path,
             "between": self._between,
             "recovery": self._recovery,
+            "changes": self._changes,
         }
         correction = self._preparation.correction
         return parts if correction is None else parts | {"correction": correction}

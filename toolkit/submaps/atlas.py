@@ -142,10 +142,9 @@ class Atlas:
         """Replace the stored content of a submap."""
         self._submaps[submap.number].put(submap)
 
-    @property
-    def has_enough_keyframes(self) -> bool:
-        """Whether the active submap should only get keyframes of what it does not show yet."""
-        return self._allocation is not None and self._allocation.has_enough(self.keyframes)
+    def has_enough(self, keyframes: list[Keyframe]) -> bool:
+        """Whether a submap should only get keyframes of what it does not show yet."""
+        return self._allocation is not None and self._allocation.has_enough(keyframes)
 
     def judge(self) -> AllocationVerdict | None:
         """Decide whether the newest keyframe starts a submap; None without allocation."""
@@ -171,6 +170,7 @@ class Atlas:
         self._submaps[number].page_in(self.device)
         self.store_active()
         self.active, self.visited = number, len(self._submaps[number].keyframe_poses)
+        self._store.prune(*self._checkpoints)  # each visit may store another version
 
     def store_active(self) -> None:
         """Move the active submap to the store; afterwards no submap is active."""
@@ -211,6 +211,7 @@ class Atlas:
                 arrays |= _stored_state(submap)
         if self.has_active_submap:
             content, values["active"] = self.current.state()
+            arrays |= self._submaps[self.active].stored_state()
             # Copies: the next optimisation step changes the Gaussians in place.
             arrays |= {f"active/{name}": _copied(name, array) for name, array in content.items()}
         return arrays, values
@@ -227,6 +228,7 @@ class Atlas:
             submap = Submap.from_state(content, values["active"], self.device)
             self.active = submap.number
             self._submaps[self.active].active = submap
+            self._submaps[self.active].restore_stored(arrays)
         self.saved = int(values["saved"])
         self.verdicts = [AllocationVerdict.from_values(row) for row in values["verdicts"]]
         self.unreadable = self._store.restore(values["store"])

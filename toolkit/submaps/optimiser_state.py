@@ -26,6 +26,11 @@ class OptimiserState:
         self.steps = steps
         self._moments: tuple[Moments, Moments] | None = None
 
+    @property
+    def is_active(self) -> bool:
+        """Whether steps were taken since the moments were released."""
+        return self._moments is not None
+
     def moments(self, cloud: GaussianCloud) -> tuple[Moments, Moments]:
         """First and second moments by parameter, shaped as those of the cloud.
 

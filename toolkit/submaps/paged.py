@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +30,7 @@ class PagedSubmap:
         active: the content; None once it is stored.
         stored_poses: T_submap_camera [4, 4] of stored keyframes by frame index, in order.
         stored_balances: white balance of stored keyframes by frame index, in order.
+        stored_gaussians: number of stored Gaussians when the submap became active again.
     """
 
     number: int
@@ -38,6 +40,7 @@ class PagedSubmap:
     active: Submap | None = None
     stored_poses: dict[int, Array] = field(default_factory=dict)
     stored_balances: dict[int, Balance] = field(default_factory=dict)
+    stored_gaussians: int = 0
 
     @classmethod
     def of(cls, submap: Submap, store: SubmapStore) -> PagedSubmap:
@@ -73,17 +76,54 @@ class PagedSubmap:
         """
         submap = self.store.take(self.number)
         submap.T_world_submap, submap.descriptors = self.T_world_submap, self.descriptors
+        self.stored_gaussians = len(submap.gaussians)
         self.active = submap.to(device)
 
     def page_out(self) -> None:
-        """Store the active content, without the moments of its optimiser."""
-        self.put(self.content)
+        """Store the active content, without the moments of its optimiser.
+
+        Nothing is written if it did not change since it was made active again.
+        """
+        submap = self.content
+        if self._is_stored(submap):
+            self.store.give_back(submap)
+            self.active = None
+        else:
+            self.put(submap)
+
+    def stored_state(self) -> dict[str, NDArray]:
+        """Arrays that describe the stored version of an active submap, for `restore_stored`."""
+        return {
+            "stored/indices": np.array(list(self.stored_poses), np.int64),
+            "stored/poses": np.array(list(self.stored_poses.values())).reshape(-1, 4, 4),
+            "stored/gaussians": np.array(self.stored_gaussians),
+        }
+
+    def restore_stored(self, arrays: Mapping[str, NDArray]) -> None:
+        """Restore the `stored_state` of an active submap."""
+        indices, poses = arrays["stored/indices"].tolist(), arrays["stored/poses"]
+        self.stored_poses = {i: np.array(T) for i, T in zip(indices, poses, strict=True)}
+        self.stored_gaussians = int(arrays["stored/gaussians"])
+
+    def _is_stored(self, submap: Submap) -> bool:
+        """Whether the stored version has the same keyframes, poses and Gaussians.
+
+        Without steps of the optimiser, Gaussians change only where keyframes are added or moved.
+        """
+        poses = _poses(submap)
+        return (
+            list(poses) == list(self.stored_poses)
+            and all(np.array_equal(T, self.stored_poses[index]) for index, T in poses.items())
+            and len(submap.gaussians) == self.stored_gaussians
+            and not submap.optimiser.is_active
+        )
 
     def put(self, submap: Submap) -> None:
         """Store another content of the submap, which is not active afterwards."""
         submap.optimiser.release()
         self.T_world_submap, self.descriptors = submap.T_world_submap, submap.descriptors
-        self.stored_poses, self.stored_balances = _poses(submap), _balances(submap)
+        poses = {index: T.copy() for index, T in _poses(submap).items()}
+        self.stored_poses, self.stored_balances = poses, _balances(submap)
         self.store.put(submap)
         self.active = None
 

@@ -98,6 +98,10 @@ class SubmapStore:
         del self._cache[number]
         return submap
 
+    def give_back(self, submap: Submap) -> None:
+        """Return a submap from `take` without changes; the stored version is still valid."""
+        self._add_to_cache(submap)
+
     def state(self) -> dict[str, int]:
         """Versions by submap number, with the keys as strings for JSON."""
         return {str(number): version for number, version in self._versions.items()}

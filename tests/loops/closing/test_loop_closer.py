@@ -138,7 +138,7 @@ def closed(
         closer.keyframe_added(atlas)
         if atlas.judge().starts_submap:
             start_next(atlas, mapper)
-            closer.add_odometry(atlas, atlas.active - 1, np.eye(6) * 1e6)
+            closer._odometry.started(atlas, atlas.active - 1, np.eye(6) * 1e6)
             truth[atlas.active] = T_world_camera
             T_map_world = se3.inverse(atlas.T_world_submap(atlas.active))
     return atlas, closer, registrar
@@ -441,8 +441,7 @@ class TestState:
         arrays, values = closer.state()
         values = json.loads(json.dumps(values))
         other_atlas, other, _ = closed(frames)
-        for name in ("_links", "_pending"):
-            setattr(other, name, [])
+        other._odometry.links, other._pending = [], []
         other.restore(arrays, values)
         assert closer.close_between(atlas, atlas.active)
         assert other.close_between(other_atlas, other_atlas.active)

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, replace
-from itertools import pairwise
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -23,10 +22,11 @@ from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.closing.keyframe_loops import KeyframeLoops
 from toolkit.loops.closing.log_entries import correction_values, motion_values, verdict
+from toolkit.loops.closing.odometry import SubmapOdometry
 from toolkit.loops.closing.options import ClosingOptions
 from toolkit.loops.closing.parts import ClosingParts
 from toolkit.loops.closing.submap_loops import SubmapLoops
-from toolkit.loops.closing.uncertainty import PathPose, frame_covariances, measured_links
+from toolkit.loops.closing.uncertainty import PathPose, frame_covariances
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
 from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
@@ -38,8 +38,6 @@ from toolkit.loops.pose_graph.graph import (
     PoseEdge,
     adjacent,
     connected_parts,
-    covariance_in_frame,
-    information_of,
 )
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.mapping.mapper import Mapper
@@ -52,10 +50,6 @@ Array = NDArray[np.float64]
 _SIMILAR = 4
 
 _log = logging.getLogger(__name__)
-# Information of an unknown pose: standard deviations of 10 m and 3 rad.
-_UNKNOWN_POSE = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
-# Information between the submaps of a loaded map, whose relative poses are fixed.
-_RIGID = np.eye(6) * 1e9
 
 
 class LoopCloser:
@@ -77,10 +71,7 @@ class LoopCloser:
         self.loops: list[PoseEdge] = []
         self._detector, self._parts, self._log = detector, parts, log
         self._recorder = recorder or NullRecorder()
-        self._links: list[PoseEdge] = []
-        # From the newest submap to the active one, if the camera has gone back to that.
-        self._way_back: list[PoseEdge] = []
-        self._ended: set[int] = set()
+        self._odometry = SubmapOdometry(parts.noise)
         self._pending: list[LoopCandidate] = []
         self._deferred = False
         self._between = SubmapLoops(parts, self.options, self._record)
@@ -94,9 +85,7 @@ class LoopCloser:
     def map_loaded(self, atlas: Atlas) -> None:
         """Add the keyframes and the anchors of a loaded map, which is treated as rigid."""
         self._detector.add_saved_submaps(atlas.submap(number) for number in range(atlas.saved))
-        for first, second in pairwise(range(atlas.saved)):
-            T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
-            self._links.append(PoseEdge(first, second, T, _RIGID))
+        self._odometry.map_loaded(atlas)
 
     def defer(self) -> None:
         """Close loops between submaps in `finish` only, because registration takes long."""
@@ -125,7 +114,7 @@ class LoopCloser:
 
     def submap_started(self, atlas: Atlas, ended: int, information: Array) -> None:
         """Add the odometry edge to the new submap, and close the loops of the previous submap."""
-        self.add_odometry(atlas, ended, information)
+        self._odometry.started(atlas, ended, information)
         self._submap_ended(atlas, ended)
 
     def submap_recovered(self, atlas: Atlas, ended: int, found: Relocalisation | None) -> None:
@@ -139,30 +128,23 @@ class LoopCloser:
 
         The relative poses of others contain the drift of a long way, and their loops may be wrong.
         """
-        links = [link for link in self._links if not _is_unknown(link)]
+        links = self._odometry.known
         near = adjacent(adjacent({atlas.active}, links), self.loops)
         near = adjacent(near, links)
         return sorted(n for n in near if n != atlas.active and n >= atlas.saved)
 
     def submap_entered(
-        self, atlas: Atlas, ended: int, T_ended_active: Array, information: Array
+        self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation
     ) -> None:
         """Remember the way back from the newest submap, and close the previous submap's loops."""
-        if atlas.active == len(atlas) - 1:
-            self._way_back = []
-        else:
-            path = list(atlas.keyframe_poses(ended).values())
-            drift = self._parts.noise.along(ended, atlas.active, path, information).covariance
-            drift = covariance_in_frame(drift, se3.inverse(path[-1]) @ T_ended_active)
-            step = PoseEdge(ended, atlas.active, T_ended_active, information_of(drift))
-            self._way_back = [way.then(step) for way in self._way_back] or [step]
+        self._odometry.entered(atlas, ended, T_ended_camera, found)
         self._submap_ended(atlas, ended)
 
     def _submap_ended(self, atlas: Atlas, number: int) -> None:
         """Close the loops of a submap that is no longer active, unless this is deferred."""
         if not self._deferred:
             self.close_between(atlas, number)
-        self._ended.add(number)
+        self._odometry.ended.add(number)
 
     def finish(self, atlas: Atlas, mapper: Mapper) -> None:
         """Close all remaining loops, and register overlapping submaps once more."""
@@ -184,35 +166,14 @@ class LoopCloser:
             loops = KeyframeLoops(self._parts, self.options, self._record)
             return loops.close(atlas.current, mapper, candidates)
 
-    def add_odometry(self, atlas: Atlas, ended: int, information: Array) -> None:
-        """Add the odometry edge from the second newest submap's anchor to the active one's.
-
-        Args:
-            ended: number of the submap in which the active one started. If it is an earlier one,
-                the edge leads back to it first.
-            information: [6, 6] of the boundary keyframe, from the tracker.
-        """
-        new = atlas.active
-        boundary = next(iter(atlas.keyframe_poses(new)))
-        poses = atlas.keyframe_poses(ended)
-        path = [T for index, T in poses.items() if index <= boundary]
-        edge = self._parts.noise.along(ended, new, path, information)
-        for way in self._way_back:
-            edge = way.then(edge)
-        self._way_back = []
-        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
-        self._links.append(replace(edge, T_first_second=se3.orthonormalise(T)))
-
     def _connect(self, atlas: Atlas, found: Relocalisation | None) -> None:
         """Add the edges of a submap that started at a lost frame.
 
         Its odometry is interrupted, so its pose relative to the previous submap is uncertain. If
         the frame was relocalised in a submap, the relocalisation becomes a loop edge.
         """
+        self._odometry.started_lost(atlas)
         new = atlas.active
-        self._way_back = []
-        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
-        self._links.append(PoseEdge(new - 1, new, T, _UNKNOWN_POSE))
         if found is None:
             return
         result = found.result
@@ -241,9 +202,9 @@ class LoopCloser:
             for other in sorted({c.match_submap for c in candidates}):
                 pairs = [c for c in candidates if c.match_submap == other]
                 edge = existing.get((other, number)) or existing.get((number, other))
-                if edge is not None and number in self._ended:
+                if edge is not None and number in self._odometry.ended:
                     continue  # the camera was here again
-                new = self._between.close(atlas, (other, number), pairs, self._links)
+                new = self._between.close(atlas, (other, number), pairs, self._odometry.links)
                 if new is None and edge is not None:
                     self._between.confirm(atlas, edge, pairs)
                 if new is not None:
@@ -267,7 +228,7 @@ class LoopCloser:
             existing = {(loop.first, loop.second): loop for loop in self.loops}
             registered = []
             for first, second in self._between.overlapping(atlas, set(existing), self.parts(atlas)):
-                edge = self._between.register(atlas, first, second, self._links)
+                edge = self._between.register(atlas, first, second, self._odometry.links)
                 edge = edge or existing.get((first, second))
                 registered += [] if edge is None else [edge]
             self.loops = registered
@@ -282,7 +243,10 @@ class LoopCloser:
         """
         connected = {(loop.first, loop.second) for loop in self.loops}
         missing = [pair for pair in self._between.neighbours(atlas) if pair not in connected]
-        edges = [self._between.register_neighbours(atlas, *pair, self._links) for pair in missing]
+        edges = [
+            self._between.register_neighbours(atlas, *pair, self._odometry.links)
+            for pair in missing
+        ]
         new = [edge for edge in edges if edge is not None]
         self.loops += new
         return bool(new) and self._correct_between(atlas)
@@ -290,7 +254,9 @@ class LoopCloser:
     def _correct_between(self, atlas: Atlas) -> bool:
         """Optimise the anchors over all consistent loops; return whether anchors moved."""
         parts = self._parts
-        agreement = consistent_loops(OdometryChain(self._links), self.loops, parts.pose_graph)
+        agreement = consistent_loops(
+            OdometryChain(self._odometry.links), self.loops, parts.pose_graph
+        )
         for index, loop in enumerate(self.loops):
             if index not in agreement.kept:
                 reason = agreement.reason(index)
@@ -300,7 +266,7 @@ class LoopCloser:
         if not self.loops:
             return False
         poses = {number: atlas.T_world_submap(number) for number in range(len(atlas))}
-        graph = submap_graph(poses, self._links, self.loops)
+        graph = submap_graph(poses, self._odometry.links, self.loops)
         solution = parts.optimiser.optimise(graph)
         retracted = [graph.edges[k] for k in solution.retracted]
         for edge in retracted:
@@ -324,16 +290,11 @@ class LoopCloser:
 
     def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
         """Submaps with known relative poses; see `LoopClosing`."""
-        known = [link for link in self._links if not _is_unknown(link)]
-        return connected_parts(range(len(atlas)), [*known, *self.loops])
+        return connected_parts(range(len(atlas)), [*self._odometry.known, *self.loops])
 
     def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array:
         """Covariances of frame poses; see `frame_covariances`."""
-        measured = measured_links(self._links, path, self._parts.noise)
-        links = [
-            before if _is_fixed(before) else link
-            for before, link in zip(self._links, measured, strict=True)
-        ]
+        links = self._odometry.measured(path)
         anchors: dict[int, Array] = {}
         for part in self.parts(atlas):
             anchors |= self._anchor_covariances(atlas, part, links)
@@ -376,14 +337,15 @@ class LoopCloser:
             ends.append([[edge.first, edge.second] for edge in edges])
         values = {
             "ends": ends,
-            "ended": sorted(self._ended),
+            "odometry": self._odometry.values(),
             "suspected": [asdict(candidate) for candidate in self._pending],
             "log_bytes": None if self._log is None else self._log.size_bytes,
         }
         return arrays, values
 
     def _edges(self) -> dict[str, list[PoseEdge]]:
-        return {"loops": self.loops, "links": self._links, "way_back": self._way_back}
+        odometry = self._odometry
+        return {"loops": self.loops, "links": odometry.links, "way_back": odometry.way_back}
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`, and truncate the log to its size at that time."""
@@ -393,8 +355,8 @@ class LoopCloser:
             make = PoseEdge.loop if name == "loops" else PoseEdge
             rows = zip(ends, arrays[f"{name}/T"], arrays[f"{name}/information"], strict=True)
             restored.append([make(first, second, T, info) for (first, second), T, info in rows])
-        self.loops, self._links, self._way_back = restored
-        self._ended = set(values["ended"])
+        self.loops, links, way_back = restored
+        self._odometry.restore(links, way_back, values["odometry"])
         self._pending = [LoopCandidate(**candidate) for candidate in values["suspected"]]
         if self._log is not None and values["log_bytes"] is not None:
             self._log.truncate(values["log_bytes"])
@@ -413,13 +375,3 @@ def _found_motion(atlas: Atlas, found: Relocalisation) -> dict[str, Any]:
     query = next(iter(atlas.keyframe_poses(atlas.active)))
     motion = motion_values(se3.inverse(poses[match]) @ T_query)
     return {"query": query, "match": match} | motion
-
-
-def _is_unknown(link: PoseEdge) -> bool:
-    """Whether a link only bounds the pose of a submap that started at a lost frame."""
-    return np.array_equal(link.information, _UNKNOWN_POSE)
-
-
-def _is_fixed(link: PoseEdge) -> bool:
-    """Whether tracking did not measure an edge: its pose is unknown, or that of a loaded map."""
-    return any(np.array_equal(link.information, fixed) for fixed in (_UNKNOWN_POSE, _RIGID))

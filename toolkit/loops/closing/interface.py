@@ -84,14 +84,14 @@ class LoopClosing(Protocol):
         ...
 
     def submap_entered(
-        self, atlas: Atlas, ended: int, T_ended_active: Array, information: Array
+        self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation
     ) -> None:
         """Tracking continues in an earlier submap, which is active again.
 
         Args:
             ended: number of the submap that was active before.
-            T_ended_active: [4, 4] from the pose of a frame in both.
-            information: [6, 6] of that frame in the active submap.
+            T_ended_camera: [4, 4] pose of a frame in it.
+            found: the same frame in the active submap.
         """
         ...
 
@@ -160,7 +160,7 @@ class NoLoopClosing:
         return []
 
     def submap_entered(
-        self, atlas: Atlas, ended: int, T_ended_active: Array, information: Array
+        self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation
     ) -> None:
         """Do nothing."""
 

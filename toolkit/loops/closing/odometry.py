@@ -1,0 +1,151 @@
+"""The odometry between submaps: a chain of edges from each anchor to the next one.
+
+A submap may start in an earlier one that the camera has entered again. Its edge then begins at the
+newest submap all the same: it leads back to the earlier one first, with the drift of the way. So
+the odometry remains a chain, against which `pose_graph.consistency` tests loops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+from toolkit.loops.closing.uncertainty import PathPose, measured_links
+from toolkit.loops.pose_graph.graph import PoseEdge, covariance_in_frame, information_of
+from toolkit.loops.pose_graph.noise import OdometryNoise
+from toolkit.loops.relocalisation import Relocalisation
+from toolkit.mapping.keyframes import view_motions
+from toolkit.submaps.atlas import Atlas
+
+Array = NDArray[np.float64]
+
+# Information of an unknown pose: standard deviations of 10 m and 3 rad.
+_UNKNOWN_POSE = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
+# Information between the submaps of a loaded map, whose relative poses are fixed.
+_RIGID = np.eye(6) * 1e9
+
+
+class SubmapOdometry:
+    """Adds an edge for each submap that starts.
+
+    Attributes:
+        links: edges from each submap to the next one, by number.
+        ended: numbers of the submaps that have been left at least once.
+        way_back: from the newest submap to the active one; empty if they are the same.
+    """
+
+    def __init__(self, noise: OdometryNoise) -> None:
+        self.links: list[PoseEdge] = []
+        self.ended: set[int] = set()
+        self.way_back: list[PoseEdge] = []
+        self._noise = noise
+        # Numbers of the submaps that did not start in the newest one.
+        self._elsewhere: set[int] = set()
+
+    @property
+    def known(self) -> list[PoseEdge]:
+        """The links but those that only bound an unknown pose."""
+        return [link for link in self.links if not np.array_equal(link.information, _UNKNOWN_POSE)]
+
+    def map_loaded(self, atlas: Atlas) -> None:
+        """Link the submaps of a loaded map, which is treated as rigid."""
+        for first, second in pairwise(range(atlas.saved)):
+            self.links.append(PoseEdge(first, second, _between(atlas, first, second), _RIGID))
+
+    def started(self, atlas: Atlas, where: int, information: Array) -> None:
+        """Add the edge of the active submap, which is new.
+
+        Args:
+            where: number of the submap in which it started.
+            information: [6, 6] of the boundary keyframe, from the tracker.
+        """
+        new = atlas.active
+        boundary = next(iter(atlas.keyframe_poses(new)))
+        path = self._path_in(atlas, where, atlas.keyframe_poses(where)[boundary])
+        edge = self._noise.along(where, new, path, information)
+        for way in self.way_back:
+            edge = way.then(edge)
+            self._elsewhere.add(new)
+        self.way_back = []
+        self.links.append(replace(edge, T_first_second=_between(atlas, new - 1, new)))
+
+    def started_lost(self, atlas: Atlas) -> None:
+        """Add the edge of the active submap, which started at a lost frame.
+
+        The odometry is interrupted, so the pose relative to the submap before is uncertain.
+        """
+        new = atlas.active
+        self.way_back = []
+        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
+        self.links.append(PoseEdge(new - 1, new, T, _UNKNOWN_POSE))
+
+    def entered(self, atlas: Atlas, left: int, T_left_camera: Array, found: Relocalisation) -> None:
+        """Remember the way from the newest submap to the active one, which is an earlier one.
+
+        Args:
+            left: number of the submap that was active before.
+            T_left_camera: [4, 4] pose of a frame in it.
+            found: the same frame in the active submap.
+        """
+        if atlas.active == len(atlas) - 1:
+            self.way_back = []
+            return
+        path = self._path_in(atlas, left, T_left_camera)
+        drift = self._noise.along(left, atlas.active, path, found.result.information).covariance
+        T_camera_active = se3.inverse(found.T_submap_camera)
+        information = information_of(covariance_in_frame(drift, T_camera_active))
+        T = se3.orthonormalise(T_left_camera @ T_camera_active)
+        step = PoseEdge(left, atlas.active, T, information)
+        self.way_back = [way.then(step) for way in self.way_back] or [step]
+
+    def _path_in(self, atlas: Atlas, number: int, T_submap_camera: Array) -> list[Array]:
+        """Keyframe poses from a submap's anchor to a camera, along which the map has drifted.
+
+        In a submap that was left before, only the keyframes up to the nearest one count: the map
+        was aligned there, and what came after it is of other visits.
+        """
+        poses = list(atlas.keyframe_poses(number).values())
+        if number in self.ended:
+            earlier = poses[:-1] or poses
+            metres, radians = view_motions(earlier, T_submap_camera)
+            poses = earlier[: int(np.argmin(metres + radians)) + 1]
+        return poses if np.array_equal(poses[-1], T_submap_camera) else [*poses, T_submap_camera]
+
+    def measured(self, path: Iterable[PathPose]) -> list[PoseEdge]:
+        """The links with the covariances that tracking measured, where it did.
+
+        Args:
+            path: the frames, in order.
+        """
+        fixed = (_UNKNOWN_POSE, _RIGID)
+        pairs = zip(self.links, measured_links(self.links, path, self._noise), strict=True)
+        return [
+            link
+            if link.second in self._elsewhere
+            or any(np.array_equal(link.information, information) for information in fixed)
+            else measured
+            for link, measured in pairs
+        ]
+
+    def values(self) -> dict[str, Any]:
+        """JSON values for `restore`; the edges are stored by the caller."""
+        return {"ended": sorted(self.ended), "elsewhere": sorted(self._elsewhere)}
+
+    def restore(
+        self, links: Sequence[PoseEdge], way_back: Sequence[PoseEdge], values: Mapping[str, Any]
+    ) -> None:
+        """Restore an earlier state."""
+        self.links, self.way_back = list(links), list(way_back)
+        self.ended, self._elsewhere = set(values["ended"]), set(values["elsewhere"])
+
+
+def _between(atlas: Atlas, first: int, second: int) -> Array:
+    """Relative pose [4, 4] of two anchors."""
+    T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
+    return se3.orthonormalise(T)
