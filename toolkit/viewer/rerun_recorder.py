@@ -137,7 +137,8 @@ class RerunRecorder:
         new_submap = atlas.active != self._submap
         if new_submap:
             self._submap = atlas.active
-            self._event(f"Submap {atlas.active} started at frame {frame.index}.")
+            what = "entered again" if atlas.visited else "started"
+            self._event(f"Submap {atlas.active} {what} at frame {frame.index}.")
         if new_submap or self._keyframes % _MAP_EVERY == 0:
             points = _points(rr, slam.atlas.gaussians, _MAX_GAUSSIANS)
             self._log(f"world/submaps/{atlas.active}", points)
