@@ -259,6 +259,7 @@ def test_a_label_without_a_name_is_refused(labelled_recording, tmp_path, capsys)
 
 def test_another_tree_does_not_read_a_map(run, tmp_path, capsys):
     copy = shutil.copytree(run, tmp_path / "copy")
+    (copy / "report.html").unlink()  # as if it had been killed before
     taxonomy = Taxonomy.load(copy / "taxonomy.yaml")
     Taxonomy.flat(taxonomy.classes).save(copy / "taxonomy.yaml")
     assert "is not the taxonomy" in one_line_of_error(capsys, "evaluate", copy)
@@ -268,6 +269,7 @@ def test_another_tree_does_not_read_a_map(run, tmp_path, capsys):
 
 def test_a_run_resumed_with_another_tree_is_refused(run, labelled_recording, tmp_path, capsys):
     copy = shutil.copytree(run, tmp_path / "copy")
+    (copy / "report.html").unlink()  # as if it had been killed before
     taxonomy = Taxonomy.load(copy / "taxonomy.yaml")
     Taxonomy.flat(taxonomy.classes).save(copy / "taxonomy.yaml")
     words = ["run", "--config", str(copy / "config.yaml"), "--out", str(copy), "--resume"]
