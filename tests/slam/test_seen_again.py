@@ -14,7 +14,6 @@ from toolkit.mapping import keyframes
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import KeyframePolicy
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.slam import submap_changes
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.submaps.allocation import Allocation
@@ -38,9 +37,8 @@ def there_and_back():
 
 @pytest.fixture(autouse=True)
 def short_visits(monkeypatch):
-    """Two keyframes before the newest one are of an earlier visit."""
-    for module in (keyframes, submap_changes):
-        monkeypatch.setattr(module, "RECENT", 3)
+    """All but the three newest keyframes are of an earlier visit."""
+    monkeypatch.setattr(keyframes, "RECENT", 3)
 
 
 def new_slam(folder=None, revisit=0.05):
@@ -48,7 +46,7 @@ def new_slam(folder=None, revisit=0.05):
     mapper = Mapper(options, np.random.default_rng(0))
     context = ClosingContext(0, "auto", SemanticMapping(), None)
     closer = build_loop_closer(LoopClosureOptions(), context)
-    allocation = Allocation(AllocationOptions(max_keyframes=5), 0)
+    allocation = Allocation(AllocationOptions(min_keyframes=3, max_keyframes=5), 0)
     atlas = Atlas(mapper.first_submap(), allocation, SubmapStore(folder, 0.0))
     return Slam(FrontEnd(DenseTracker(), closer), mapper, atlas=atlas)
 
@@ -56,8 +54,7 @@ def new_slam(folder=None, revisit=0.05):
 @pytest.fixture(scope="module")
 def returned(there_and_back):
     with pytest.MonkeyPatch.context() as patch:
-        for module in (keyframes, submap_changes):
-            patch.setattr(module, "RECENT", 3)
+        patch.setattr(keyframes, "RECENT", 3)
         slam = new_slam()
         results = fed(slam, there_and_back[0])
         entered = slam.atlas.active

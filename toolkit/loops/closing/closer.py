@@ -38,6 +38,8 @@ from toolkit.loops.pose_graph.graph import (
     PoseEdge,
     adjacent,
     connected_parts,
+    covariance_in_frame,
+    information_of,
 )
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.mapping.mapper import Mapper
@@ -136,9 +138,29 @@ class LoopCloser:
     def submap_entered(
         self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation
     ) -> None:
-        """Remember the way back from the newest submap, and close the previous submap's loops."""
+        """Remember the way back from the newest submap, and close the loops of the previous one.
+
+        If it has none with the submap that was entered, the common frame becomes one.
+        """
         self._odometry.entered(atlas, ended, T_ended_camera, found)
         self._submap_ended(atlas, ended)
+        pair = {found.submap, ended}
+        edges = [*self._odometry.known, *self.loops]
+        if not self._deferred and all({edge.first, edge.second} != pair for edge in edges):
+            self.loops.append(self._loop_of(found, ended, T_ended_camera))
+            values = {"first": found.submap, "second": ended}
+            self._record("found", values | {"visible": found.result.visible_fraction})
+            self._correct_between(atlas)
+
+    def _loop_of(self, found: Relocalisation, second: int, T_second_camera: Array) -> PoseEdge:
+        """The loop edge of a frame that was located in a submap, from its pose in another one."""
+        covariance = self._parts.loop_noise.alignment(found.result.information)
+        T_camera_second = se3.inverse(T_second_camera)
+        information = information_of(covariance_in_frame(covariance, T_camera_second))
+        T = se3.orthonormalise(found.T_submap_camera @ T_camera_second)
+        first = found.submap
+        edge = PoseEdge.loop(first, second, T, information)
+        return edge if first < second else edge.inverted()
 
     def _submap_ended(self, atlas: Atlas, number: int) -> None:
         """Close the loops of a submap that is no longer active, unless this is deferred."""
