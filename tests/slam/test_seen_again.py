@@ -14,6 +14,7 @@ from toolkit.mapping import keyframes
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import KeyframePolicy
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam import submap_changes
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.system import Slam
 from toolkit.submaps.allocation import Allocation
@@ -38,7 +39,8 @@ def there_and_back():
 @pytest.fixture(autouse=True)
 def short_visits(monkeypatch):
     """All but the three newest keyframes are of an earlier visit."""
-    monkeypatch.setattr(keyframes, "RECENT", 3)
+    for module in (keyframes, submap_changes):
+        monkeypatch.setattr(module, "RECENT", 3)
 
 
 def new_slam(folder=None, revisit=0.05):
@@ -54,7 +56,8 @@ def new_slam(folder=None, revisit=0.05):
 @pytest.fixture(scope="module")
 def returned(there_and_back):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(keyframes, "RECENT", 3)
+        for module in (keyframes, submap_changes):
+            patch.setattr(module, "RECENT", 3)
         slam = new_slam()
         results = fed(slam, there_and_back[0])
         entered = slam.atlas.active

@@ -15,7 +15,7 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.loops.relocalisation import Relocalisation
 from toolkit.mapping.boundary import start_next
-from toolkit.mapping.keyframes import SEEN, is_revisit, seen_fraction, view_motions
+from toolkit.mapping.keyframes import RECENT, SEEN, is_revisit, seen_fraction, view_motions
 from toolkit.mapping.mapper import Mapper
 from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
@@ -34,7 +34,7 @@ _MAX_MOTION = 0.05
 _SIMILAR = 1.0
 # Number of frames for which the camera stays in a submap that it has entered.
 _MIN_STAY = 10
-# Number of keyframes of a new submap that an earlier one shows before the camera returns to that.
+# Number of keyframes of new submaps that earlier ones show before the camera returns to these.
 # Loops need the overlap: on twin rooms, returning at once raises the error from 0.8 to 1.3 cm.
 _MIN_SHARED = 60
 
@@ -63,8 +63,8 @@ class SubmapChanges:
         self._tracker, self._closer = front_end.tracker, front_end.closer
         self._mapper, self._atlas, self._recorder = mapper, atlas, recorder
         self._entered_at = -_MIN_STAY
-        # A new submap, and the number of its keyframes that earlier submaps show.
-        self._shared = (0, 0)
+        # Keyframes of new submaps that earlier ones show, less those that none shows.
+        self._shared = 0
 
     def start_if_due(self, tracking: TrackingResult | None) -> None:
         """Start the next submap at the newest keyframe if allocation asks for it.
@@ -100,13 +100,13 @@ class SubmapChanges:
             tracking: of the frame, by which that pose was found.
         """
         nearest = self._nearest(frame, T_map_camera)
+        if not self._overlaps_enough(None if nearest is None else nearest[0]):
+            return None
         if nearest is None or tracking is None or not isinstance(self._tracker, LocatingTracker):
             return None
         if frame.index - self._entered_at < _MIN_STAY:
             return SeenAgain(None)
         number, T_predicted = nearest
-        if not self._overlaps_enough(number):
-            return None
         submap = self._atlas.submap(number)
         gaussians = submap.gaussians.to(self._atlas.device)
         with self._recorder.timed(Stage.RELOCALISATION):
@@ -144,7 +144,7 @@ class SubmapChanges:
     ) -> tuple[int, NDArray[np.float64]] | None:
         """The submap with the nearest view among those that show a frame, and its pose there."""
         atlas, found, least = self._atlas, None, _SIMILAR
-        if self._mapper.options.keyframes.revisit == 0.0 or (atlas.visited == 0 and atlas.is_small):
+        if self._mapper.options.keyframes.revisit == 0.0 or not atlas.keyframes:
             return None
         for number in self._closer.enterable(atlas):
             T_world_camera = atlas.T_world_submap(atlas.active) @ T_map_camera
@@ -162,17 +162,22 @@ class SubmapChanges:
                 found, least = (number, T_submap_camera), nearest
         return found
 
-    def _overlaps_enough(self, number: int) -> bool:
-        """Whether the active submap shows enough of another one for an accurate loop; count this.
+    def _overlaps_enough(self, number: int | None) -> bool:
+        """Whether the newest submaps show enough of earlier ones for accurate loops; count this.
 
         That matters once for each place: where a new submap returns to one that a loop connects.
+
+        Args:
+            number: of the submap that shows the newest view; None if none does.
         """
-        active = self._atlas.active
-        if self._atlas.visited > 0 or number == active - 1:
+        atlas = self._atlas
+        if atlas.visited > 0:
             return True
-        known, count = self._shared
-        self._shared = active, count + 1 if known == active else 1
-        return self._shared[1] > _MIN_SHARED
+        if number == atlas.active - 1:
+            # Its newest keyframes are of the same visit.
+            return len(atlas.keyframes) >= RECENT
+        self._shared = max(0, self._shared - 1) if number is None else self._shared + 1
+        return self._shared > _MIN_SHARED
 
     def _shows(
         self, keyframes: list[Keyframe], frame: Frame, T_submap_camera: NDArray[np.float64]
@@ -192,8 +197,7 @@ class SubmapChanges:
     def restore(self, _arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
         self._entered_at = int(values["entered_at"])
-        number, count = values["shared"]
-        self._shared = int(number), int(count)
+        self._shared = int(values["shared"])
 
 
 def _motion(

@@ -129,10 +129,6 @@ class Allocation:
             reason = self._new_view(overlap, divergence)
         return AllocationVerdict(newest.index, number, overlap, divergence, reason)
 
-    def is_small(self, keyframes: Sequence[Keyframe]) -> bool:
-        """Whether a submap has fewer keyframes than it should end with."""
-        return len(keyframes) < self.options.min_keyframes
-
     def has_enough(self, keyframes: Sequence[Keyframe]) -> bool:
         """Whether a submap should only get keyframes of what it does not show yet."""
         return len(keyframes) >= self.options.enough_keyframes

@@ -142,11 +142,6 @@ class Atlas:
         """Replace the stored content of a submap."""
         self._submaps[submap.number].put(submap)
 
-    @property
-    def is_small(self) -> bool:
-        """Whether the active submap has fewer keyframes than it should end with."""
-        return self._allocation is not None and self._allocation.is_small(self.keyframes)
-
     def has_enough(self, keyframes: list[Keyframe]) -> bool:
         """Whether a submap should only get keyframes of what it does not show yet."""
         return self._allocation is not None and self._allocation.has_enough(keyframes)
