@@ -184,8 +184,13 @@ class SubmapChanges:
     ) -> bool:
         """Whether a frame would not become a keyframe of an inactive submap."""
         revisit = self._mapper.options.keyframes.revisit
-        if is_revisit(keyframes, T_submap_camera, revisit, len(keyframes)):
-            return True
+        again = is_revisit(keyframes, T_submap_camera, revisit, len(keyframes))
+        return again or self.shows_surface(keyframes, frame, T_submap_camera)
+
+    def shows_surface(
+        self, keyframes: list[Keyframe], frame: Frame, T_submap_camera: NDArray[np.float64]
+    ) -> bool:
+        """Whether a submap has enough keyframes, and they have measured what a frame shows."""
         if not self._atlas.has_enough(keyframes):
             return False
         return seen_fraction(keyframes, frame, T_submap_camera) >= SEEN

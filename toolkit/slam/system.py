@@ -19,7 +19,7 @@ from toolkit.loops.closing.interface import LoopClosing
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
-from toolkit.mapping.keyframes import SEEN, KeyframeChoice, seen_fraction
+from toolkit.mapping.keyframes import KeyframeChoice
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.anchors import align_anchors
 from toolkit.refinement.fusion import FusedMap, fuse
@@ -314,9 +314,7 @@ class Slam:
         keyframes, visited = self.atlas.keyframes, self.atlas.visited
         if not self.mapper.wants(keyframes, frame, T_map_camera, visited):
             return False
-        if not self.atlas.has_enough(keyframes):
-            return True
-        return seen_fraction(keyframes, frame, T_map_camera) < SEEN
+        return not self._changes.shows_surface(keyframes, frame, T_map_camera)
 
     def _add_keyframe(
         self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
