@@ -15,10 +15,11 @@ Parts, each a few minutes at most (the first use of a kernel compiles it, within
     tunings     the renderer with other block sizes (only when asked for)
     profile     which kernels take the time (only when asked for)
 
-It needs torch, triton, numpy, OpenCV and scikit-learn, and nothing of this project installed;
-for the comparison with the CPU it compiles the native kernels, if a compiler and pybind11 are
-there. gsplat takes part where it is installed, with its own defaults but for the 0.3 square
-pixels by which it widens every Gaussian; it compiles itself when first used, which takes minutes.
+It needs torch, triton, numpy, OpenCV and scikit-learn, for whole frames Open3D too, and nothing of
+this project installed; for the comparison with the CPU it compiles the native kernels, if a
+compiler and pybind11 are there. gsplat takes part where it is installed, with its own defaults but
+for the 0.3 square pixels by which it widens every Gaussian; it compiles itself when first used,
+which takes minutes.
 
 C channels are 3 colour, 1 depth and C - 4 features; the silhouette comes with them, and the
 backward pass gives all gradients and the pose's. Times are medians, of CUDA events where

@@ -29,7 +29,7 @@ needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is n
 
 @pytest.fixture(scope="module")
 def walk():
-    """Frames, and their true poses in the first camera's frame; a GPU server has no Open3D."""
+    """Frames, and their true poses in the first camera's frame."""
     T_map_camera = path(2)
     return box_frames(T_map_camera, *SIZE), T_map_camera
 
