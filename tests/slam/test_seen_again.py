@@ -122,6 +122,29 @@ def test_a_new_submap_after_the_way_back_is_linked_to_the_newest_one(there_and_b
     assert np.trace(way.covariance) > 2 * np.trace(direct), "it drifted on the way"
 
 
+@pytest.mark.parametrize("full", [False, True])
+def test_a_submap_that_shows_a_part_of_the_view_is_entered_unless_it_is_full(
+    there_and_back, monkeypatch, full
+):
+    slam = new_slam()
+    frames = there_and_back[0]
+    fed(slam, frames)
+    known = len(slam.atlas)
+    assert known > 2 and slam.atlas.active == 0 and slam.atlas.visited > 0
+    changes = submap_changes.SubmapChanges
+    monkeypatch.setattr(Allocation, "is_full", lambda self, keyframes: full)
+    monkeypatch.setattr(changes, "_nearest", lambda *_: None)  # none shows all of it
+    monkeypatch.setattr(changes, "_leaves", lambda *_: slam.atlas.active == 0)
+    count = len(frames)
+    again = [
+        replace(frame, index=count + i, timestamp_s=(count + i) / 30.0)
+        for i, frame in enumerate(frames[: COUNT // 2])
+    ]
+    results = fed(slam, again)
+    assert (len(slam.atlas) > known) == full
+    assert full or 0 < results[-1].submap < known
+
+
 def test_a_progress_bar_follows_the_steps_of_the_refinement(there_and_back):
     slam = new_slam()
     fed(slam, there_and_back[0][:12])

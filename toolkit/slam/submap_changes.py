@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,11 +33,29 @@ _MIN_EXPLAINED = 0.9
 _MAX_MOTION = 0.05
 # Larger motions between views, in the same unit, are not considered.
 _SIMILAR = 1.0
+# A view that the active submap no longer shows is continued in another one if that explains and
+# has measured at least this fraction of it.
+_MIN_PARTLY = 0.5
 # Number of frames for which the camera stays in a submap that it has entered.
 _MIN_STAY = 10
 # Number of keyframes of new submaps that earlier ones show before the camera returns to these.
 # Loops need the overlap: on twin rooms, returning at once raises the error from 0.8 to 1.3 cm.
 _MIN_SHARED = 60
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A submap in which the camera may continue.
+
+    Attributes:
+        number: of the submap.
+        T_submap_camera: [4, 4] predicted pose of the frame.
+        partly: whether it shows only a part of the frame, and is to be extended.
+    """
+
+    number: int
+    T_submap_camera: NDArray[np.float64]
+    partly: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,26 +118,33 @@ class SubmapChanges:
             T_map_camera: [4, 4] pose in the active submap.
             tracking: of the frame, by which that pose was found.
         """
-        nearest = self._nearest(frame, T_map_camera)
-        if not self._overlaps_enough(None if nearest is None else nearest[0]):
+        candidate = self._nearest(frame, T_map_camera)
+        if not self._overlaps_enough(None if candidate is None else candidate.number):
             return None
-        if nearest is None or tracking is None or not isinstance(self._tracker, LocatingTracker):
+        stays = frame.index - self._entered_at < _MIN_STAY
+        if candidate is None and not stays and self._leaves(frame, T_map_camera):
+            candidate = self._largest_part(frame, T_map_camera)
+        if candidate is None or tracking is None or not isinstance(self._tracker, LocatingTracker):
             return None
-        if frame.index - self._entered_at < _MIN_STAY:
+        if stays:
             return SeenAgain(None)
-        number, T_predicted = nearest
+        number, T_predicted = candidate.number, candidate.T_submap_camera
         submap = self._atlas.submap(number)
         gaussians = submap.gaussians.to(self._atlas.device)
         with self._recorder.timed(Stage.RELOCALISATION):
             result = self._tracker.locate(frame, gaussians, T_predicted, search=False)
-        explained = result.visible_fraction >= _MIN_EXPLAINED * tracking.visible_fraction
+        fraction = _MIN_PARTLY if candidate.partly else _MIN_EXPLAINED
+        explained = result.visible_fraction >= fraction * tracking.visible_fraction
         if result.health is not Health.GOOD or not explained:
             return None
         if _motion(frame, [T_predicted], result.T_map_camera)[0] >= _MAX_MOTION:
             return None
-        if not self._shows(submap.keyframes, frame, result.T_map_camera):
-            return None
-        return SeenAgain(Relocalisation(number, result))
+        if candidate.partly:
+            part = seen_fraction(submap.keyframes, frame, result.T_map_camera)
+            shown = part >= _MIN_PARTLY
+        else:
+            shown = self._shows(submap.keyframes, frame, result.T_map_camera)
+        return SeenAgain(Relocalisation(number, result)) if shown else None
 
     def enter(
         self, again: Relocalisation, frame: FrameStamp, T_map_camera: NDArray[np.float64]
@@ -136,31 +162,59 @@ class SubmapChanges:
         with self._recorder.timed(Stage.MAPPING):
             atlas.enter(again.submap)
         self._tracker.change_frame(again.T_submap_camera @ se3.inverse(T_map_camera))
-        _log.info("Continued in submap %d, which shows the view.", again.submap)
+        _log.info("Continued in submap %d at frame %d.", again.submap, frame.index)
         self._closer.submap_entered(atlas, ended, T_ended_camera, again)
 
-    def _nearest(
-        self, frame: Frame, T_map_camera: NDArray[np.float64]
-    ) -> tuple[int, NDArray[np.float64]] | None:
-        """The submap with the nearest view among those that show a frame, and its pose there."""
-        atlas, found, least = self._atlas, None, _SIMILAR
-        if self._mapper.options.keyframes.revisit == 0.0 or not atlas.keyframes:
+    def _nearest(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> _Candidate | None:
+        """The submap with the nearest view among those that show a frame."""
+        found, least = None, _SIMILAR
+        if self._mapper.options.keyframes.revisit == 0.0:
             return None
+        for number, nearest, T_submap_camera in self._others(frame, T_map_camera):
+            keyframes = self._keyframes_of(number, frame) if nearest < least else []
+            if keyframes and self._shows(keyframes, frame, T_submap_camera):
+                found, least = _Candidate(number, T_submap_camera), nearest
+        return found
+
+    def _leaves(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> bool:
+        """Whether the camera leaves an earlier submap that it has entered, and that is complete."""
+        atlas = self._atlas
+        if atlas.visited == 0 or not atlas.has_enough(atlas.keyframes):
+            return False
+        established = atlas.established_keyframes
+        return seen_fraction(established, frame, T_map_camera) < _MIN_PARTLY
+
+    def _largest_part(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> _Candidate | None:
+        """The submap that shows most of a frame that the active one does not show."""
+        found, most = None, _MIN_PARTLY
+        for number, nearest, T_submap_camera in self._others(frame, T_map_camera):
+            keyframes = self._keyframes_of(number, frame) if nearest < _SIMILAR else []
+            part = seen_fraction(keyframes, frame, T_submap_camera) if keyframes else 0.0
+            if part >= most and not self._atlas.is_full(keyframes):
+                found, most = _Candidate(number, T_submap_camera, partly=True), part
+        return found
+
+    def _others(
+        self, frame: Frame, T_map_camera: NDArray[np.float64]
+    ) -> Iterator[tuple[int, float, NDArray[np.float64]]]:
+        """Submaps that can be entered: number, motion to the nearest view, pose of the frame."""
+        atlas = self._atlas
+        if not atlas.keyframes:
+            return
+        T_world_camera = atlas.T_world_submap(atlas.active) @ T_map_camera
         for number in self._closer.enterable(atlas):
-            T_world_camera = atlas.T_world_submap(atlas.active) @ T_map_camera
             T_submap_camera = se3.inverse(atlas.T_world_submap(number)) @ T_world_camera
             views = list(atlas.keyframe_poses(number).values())
             nearest = float(_motion(frame, views, T_submap_camera).min(initial=np.inf))
-            if nearest >= least:
-                continue
-            try:
-                keyframes = atlas.submap(number).keyframes
-            except ToolkitError as error:
-                _log.debug("frame %d: %s", frame.index, error)
-                continue
-            if self._shows(keyframes, frame, T_submap_camera):
-                found, least = (number, T_submap_camera), nearest
-        return found
+            yield number, nearest, T_submap_camera
+
+    def _keyframes_of(self, number: int, frame: FrameStamp) -> list[Keyframe]:
+        """The keyframes of a submap; empty if it cannot be read."""
+        try:
+            return self._atlas.submap(number).keyframes
+        except ToolkitError as error:
+            _log.debug("frame %d: %s", frame.index, error)
+            return []
 
     def _overlaps_enough(self, number: int | None) -> bool:
         """Whether the newest submaps show enough of earlier ones for accurate loops; count this.

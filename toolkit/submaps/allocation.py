@@ -111,11 +111,10 @@ class Allocation:
             gaussians: number of Gaussians in the submap.
         """
         newest, options = keyframes[-1], self.options
-        established = keyframes[: max(1, len(keyframes) - options.recent)]
-        overlap = view_overlap(newest, established)
+        overlap = view_overlap(newest, self.established(keyframes))
         divergence = self._divergence(newest, keyframes[0])
         reason = ""
-        if len(keyframes) >= options.max_keyframes:
+        if self.is_full(keyframes):
             reason = f"{len(keyframes)} keyframes"
         elif self.has_enough(keyframes) and overlap < options.min_overlap:
             reason = f"{len(keyframes)} keyframes and overlap {overlap:.2f}"
@@ -128,6 +127,14 @@ class Allocation:
         elif len(keyframes) >= options.min_keyframes:
             reason = self._new_view(overlap, divergence)
         return AllocationVerdict(newest.index, number, overlap, divergence, reason)
+
+    def established(self, keyframes: list[Keyframe]) -> list[Keyframe]:
+        """The keyframes that a view is compared with: not the newest, which see most of it."""
+        return keyframes[: max(1, len(keyframes) - self.options.recent)]
+
+    def is_full(self, keyframes: Sequence[Keyframe]) -> bool:
+        """Whether a submap gets no more keyframes."""
+        return len(keyframes) >= self.options.max_keyframes
 
     def has_enough(self, keyframes: Sequence[Keyframe]) -> bool:
         """Whether a submap should only get keyframes of what it does not show yet."""

@@ -146,6 +146,16 @@ class Atlas:
         """Whether a submap should only get keyframes of what it does not show yet."""
         return self._allocation is not None and self._allocation.has_enough(keyframes)
 
+    def is_full(self, keyframes: list[Keyframe]) -> bool:
+        """Whether a submap gets no more keyframes."""
+        return self._allocation is not None and self._allocation.is_full(keyframes)
+
+    @property
+    def established_keyframes(self) -> list[Keyframe]:
+        """The keyframes of the active submap without the newest, which see most of any view."""
+        keyframes = self.keyframes
+        return keyframes if self._allocation is None else self._allocation.established(keyframes)
+
     def judge(self) -> AllocationVerdict | None:
         """Decide whether the newest keyframe starts a submap; None without allocation."""
         if self._allocation is None:
