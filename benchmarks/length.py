@@ -3,8 +3,8 @@
     python -m benchmarks.length [--poses given]
 
 Compares three rooms with twelve, twelve seen once with the same seen fifteen times, a kitchen seen
-once with the same seen ten and sixty times, and one room in which the camera moves freely for 155 s and for
-310 s.
+once with the same seen ten and sixty times, and one room in which the camera moves freely for 155 s
+and for 310 s.
 Each run is a process of its own, fusion and export included. Three and twelve rooms have a small
 memory budget for inactive submaps, so that both exceed it.
 """
@@ -79,8 +79,8 @@ Three rooms on a corridor and twelve (`semsplat make-room --layout rooms --frame
 forwards and backwards in turn, fifteen times: 20 minutes at 30 frames per second. One room
 through which the camera moves freely (`--layout long --image-size 160 120 --sensor-noise`), and
 the first 600 frames of 7-Scenes RedKitchen at 320x240 once, and forwards and backwards in turn,
-ten times, with default settings; at 640x480, sixty times: again 20 minutes. Times are means over the four quarters of the sequence; memory
-is that of the process at their ends. Results: the run folder."""
+ten times, with default settings; at 640x480, sixty times: again 20 minutes. Times are means over
+the four quarters of the sequence; memory is that of the process at their ends. Results: the run folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
