@@ -80,7 +80,8 @@ forwards and backwards in turn, fifteen times: 20 minutes at 30 frames per secon
 through which the camera moves freely (`--layout long --image-size 160 120 --sensor-noise`), and
 the first 600 frames of 7-Scenes RedKitchen at 320x240 once, and forwards and backwards in turn,
 ten times, with default settings; at 640x480, sixty times: again 20 minutes. Times are means over
-the four quarters of the sequence; memory is that of the process at their ends. Results: the run folder."""
+the four quarters of the sequence; memory is that of the process at their ends. Results: the run
+folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
