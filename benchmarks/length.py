@@ -12,10 +12,11 @@ memory budget for inactive submaps, so that both exceed it.
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -72,6 +73,10 @@ _PAIRS = {
     ),
 }
 _LIMITS = {"memory.peak_mb": 1.3, "frames.keyframes": 1.5, "submaps": 1.5, "results_mb": 1.5}
+_GROWING = (
+    *("frames.keyframes", "map.gaussians", "submaps", "loops.searched", "memory.peak_mb"),
+    *("results_mb", "finish_s", "evaluation_s"),
+)
 DESCRIPTION = """\
 Three rooms on a corridor and twelve (`semsplat make-room --layout rooms --frames 600` and
 `--layout hall --frames 2400`, both with `--image-size 160 120 --sensor-noise`), with
@@ -164,7 +169,23 @@ def main() -> None:
         for metric, at_most in _LIMITS.items()
         if what != "more rooms" or metric == "memory.peak_mb"
     ]
-    report.write(table_of(COLUMNS, rows), target_table(targets))
+    growth = {what: _exponents(ratio, *pair) for what, pair in _PAIRS.items()}
+    report.write(
+        table_of(COLUMNS, rows),
+        target_table(targets),
+        replace(table_of(_GROWING, growth), title="Exponents of the number of frames"),
+    )
+
+
+def _exponents(ratio: Callable[[str, str, str], float | None], short: str, long: str) -> Metrics:
+    """Exponents of the growth from the short to the long sequence; 1 is proportional."""
+    frames = ratio(long, short, "frames.total")
+    grown = {metric: ratio(long, short, metric) for metric in _GROWING}
+    return {
+        metric: math.log(factor) / math.log(frames)
+        for metric, factor in grown.items()
+        if factor and frames and frames > 1
+    }
 
 
 def measure(job: dict[str, Any], _seed: int) -> Metrics:

@@ -110,6 +110,7 @@ def finished_slam(
         folder.check_taxonomy(result.taxonomy)
         write_results(result, dataset, folder, settings, RunRecord(watch, costs.costs()))
         slam.atlas.forget_checkpoints()
+        slam.atlas.compress()
         metrics = flattened(read_metrics(folder.metrics))
         frames_ms = watch.durations_ms[Stage.ONLINE]
         (finish_ms,) = watch.durations_ms[Stage.FINISH]

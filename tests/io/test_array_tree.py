@@ -5,7 +5,7 @@ import pytest
 
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.io import arrays
-from toolkit.io.arrays import read_array_tree, write_array_tree
+from toolkit.io.arrays import compress_array_tree, read_array_tree, write_array_tree
 
 VALUES = {
     "map/means": np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32),
@@ -32,6 +32,37 @@ def test_output_is_reproducible(tmp_path):
     write_array_tree(tmp_path / "b", dict(reversed(VALUES.items())), META)
     for name in ("arrays.npz", "metadata.json"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_compression_changes_the_size_only(tmp_path):
+    values = {**VALUES, "labels": np.zeros((200, 100), np.int16)}
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        write_array_tree(folder, values, META)
+        before = (folder / "arrays.npz").stat().st_size
+        compress_array_tree(folder)
+        assert (folder / "arrays.npz").stat().st_size < 0.2 * before
+    tree = read_array_tree(tmp_path / "a")
+    assert tree.metadata == META and list(tree.arrays) == sorted(values)
+    for name, array in values.items():
+        np.testing.assert_array_equal(tree.arrays[name], array)
+    a, b = ((tmp_path / name / "arrays.npz").read_bytes() for name in "ab")
+    assert a == b
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["arrays.npz", "metadata.json"]
+
+
+def test_what_cannot_be_compressed_stays(tmp_path, monkeypatch):
+    write_array_tree(tmp_path / "state", VALUES, META)
+
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(arrays.zipfile.ZipFile, "writestr", full_disk)
+    with pytest.raises(RunFolderError, match="No space left"):
+        compress_array_tree(tmp_path / "state")
+    assert set(read_array_tree(tmp_path / "state").arrays) == set(VALUES)
+    (tmp_path / "state" / "arrays.npz").write_bytes(b"PK")
+    with pytest.raises(FormatError, match="damaged"):
+        compress_array_tree(tmp_path / "state")
 
 
 def test_replacing_keeps_only_the_new_folder(tmp_path):

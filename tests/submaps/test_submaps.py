@@ -316,6 +316,18 @@ class TestStore:
         assert again.restore(before) == []
         assert same(again.get(0), some_submap(0, seed=1))
 
+    def test_compressed_submaps_are_read_as_before(self, tmp_path, caplog, keyframes):
+        store = SubmapStore(tmp_path, budget_mb=0)
+        submap = replace(some_submap(0), keyframes=keyframes[:2])
+        store.put(submap)
+        store.put(some_submap(1))
+        sizes = [(tmp_path / f"{n:04d}_0" / "arrays.npz").stat().st_size for n in range(2)]
+        (tmp_path / "0001_0" / "arrays.npz").unlink()
+        store.compress()
+        assert (tmp_path / "0000_0" / "arrays.npz").stat().st_size < 0.8 * sizes[0]
+        assert same(store.get(0), submap)
+        assert "A submap stays uncompressed: cannot write" in caplog.text
+
     def test_pruning_keeps_what_states_know(self, tmp_path):
         store = SubmapStore(tmp_path)
         states = []

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError
-from toolkit.io.atomic import cannot_write, sync
+from toolkit.io.atomic import cannot_write, replacing, sync
 
 PathLike = str | os.PathLike[str]
 
@@ -82,6 +82,27 @@ def write_array_tree(
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def compress_array_tree(folder: PathLike) -> None:
+    """Compress the arrays of a folder in place; it is read as before.
+
+    Raises:
+        RunFolderError: the folder cannot be read, or the disk is full; nothing has changed.
+        FormatError: the folder is damaged.
+    """
+    path = Path(folder) / _ARRAYS
+    try:
+        with (
+            replacing(path) as temporary,
+            zipfile.ZipFile(path) as stored,
+            zipfile.ZipFile(temporary, "w") as archive,
+        ):
+            for member in stored.infolist():
+                copied = zipfile.ZipInfo(member.filename, member.date_time)
+                archive.writestr(copied, stored.read(member), zipfile.ZIP_DEFLATED, 1)
+    except zipfile.BadZipFile as error:
+        raise FormatError(f"{path} is damaged ({error}); run again") from error
 
 
 def read_array_tree(folder: PathLike, wanted: Callable[[str], bool] | None = None) -> ArrayTree:

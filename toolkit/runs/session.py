@@ -132,6 +132,7 @@ class Session:
         self.slam.store_in_metres()
         self.folder.remove_checkpoints()
         self.slam.atlas.forget_checkpoints()
+        self.slam.atlas.compress()
 
 
 @contextmanager

@@ -200,6 +200,10 @@ class Atlas:
         self._checkpoints = []
         self._store.prune()
 
+    def compress(self) -> None:
+        """Compress the stored submaps, which will not change any more."""
+        self._store.compress()
+
     def checkpointed(self) -> None:
         """Remove the files that neither of the two newest checkpoints needs.
 
