@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -28,7 +29,7 @@ from numpy.typing import NDArray
 from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
-from benchmarks.tables import Metrics, Target, median_of, table_of, target_table
+from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.frame import Frame
@@ -73,6 +74,7 @@ _PAIRS = {
     ),
 }
 _LIMITS = {"memory.peak_mb": 1.3, "frames.keyframes": 1.5, "submaps": 1.5, "results_mb": 1.5}
+_DRAWN = 60  # points of each line of the picture
 _GROWING = (
     *("frames.keyframes", "map.gaussians", "submaps", "loops.searched", "memory.peak_mb"),
     *("results_mb", "finish_s", "evaluation_s"),
@@ -86,7 +88,7 @@ through which the camera moves freely (`--layout long --image-size 160 120 --sen
 the first 600 frames of 7-Scenes RedKitchen at 320x240 once, and forwards and backwards in turn,
 ten times, with default settings; at 640x480, sixty times: again 20 minutes. Times are means over
 the four quarters of the sequence; memory is that of the process at their ends. Results: the run
-folder."""
+folder. The picture shows both along the sequences."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,8 +147,9 @@ def main() -> None:
         print(json.dumps(measure_here(json.loads(options.child))))
         return
     given = options.poses == "given"
+    name = f"length{'-given-poses' if given else ''}"
     report = Report(
-        f"length{'-given-poses' if given else ''}",
+        name,
         f"Longer sequences{', poses given' if given else ''}",
         DESCRIPTION,
         options,
@@ -170,10 +173,15 @@ def main() -> None:
         if what != "more rooms" or metric == "memory.peak_mb"
     ]
     growth = {what: _exponents(ratio, *pair) for what, pair in _PAIRS.items()}
+    if all(rows.get(name) for name in ROWS):
+        draw(rows, options.out / f"{name}.svg")
     report.write(
         table_of(COLUMNS, rows),
         target_table(targets),
-        replace(table_of(_GROWING, growth), title="Exponents of the number of frames"),
+        replace(
+            table_of(_GROWING, {what: [exponents] for what, exponents in growth.items()}),
+            title="Exponents of the number of frames",
+        ),
     )
 
 
@@ -204,8 +212,10 @@ def measure_here(job: dict[str, Any]) -> Metrics:
     with finished_slam(settings, dataset) as run:
         done_s = time.perf_counter()
         return run.metrics | {
-            "ms per frame, quarters": _quarters(run.frames_ms, np.mean),
-            "MB resident, quarters": _quarters(run.memory_mb, lambda part: part[-1]),
+            "ms per frame, quarters": _parts(run.frames_ms, np.mean, 4),
+            "MB resident, quarters": _parts(run.memory_mb, lambda part: part[-1], 4),
+            "ms per frame, parts": _parts(run.frames_ms, np.mean, _DRAWN),
+            "MB resident, parts": _parts(run.memory_mb, lambda part: part[-1], _DRAWN),
             "finish_s": run.finish_s,
             "evaluation_s": done_s - run.finished_at_s,
             "submaps": len(run.result.submaps),
@@ -232,9 +242,32 @@ def _opened(job: dict[str, Any]) -> tuple[RunSettings, Dataset]:
     return settings, dataset
 
 
-def _quarters(values: Sequence[float], summary: Any) -> str:
-    parts = np.array_split(np.array(values), 4)
+def _parts(values: Sequence[float], summary: Any, count: int) -> str:
+    parts = np.array_split(np.array(values), count)
     return ", ".join(f"{float(summary(part)):.0f}" for part in parts)
+
+
+def draw(rows: Rows, path: Path) -> None:
+    """Draw the time per frame and the memory along the sequences, one line each."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    mpl.rcParams["svg.hashsalt"] = "length"
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    for axes, (column, label) in zip(
+        figure.subplots(2, 1, sharex=True),
+        (("ms per frame, parts", "ms per frame"), ("MB resident, parts", "resident memory, MB")),
+        strict=True,
+    ):
+        for name, (run, *_) in rows.items():
+            values = [float(value) for value in str(run[column]).split(", ")]
+            frames = np.arange(1, len(values) + 1) * (float(run["frames.total"]) / len(values))
+            axes.plot(frames, values, label=name if column.startswith("ms") else None)
+        axes.set(xscale="log", ylabel=label, ylim=(0, None))
+        axes.grid(visible=True, alpha=0.3)
+    axes.set_xlabel("frames")
+    figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
+    figure.savefig(path, metadata={"Date": None})
 
 
 if __name__ == "__main__":
