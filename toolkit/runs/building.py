@@ -15,6 +15,7 @@ from toolkit.loops.closing.factory import ClosingContext
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.rendering import map_device
+from toolkit.runs.allocator import reuse_freed_memory
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.modes import FrontEndParts, mode_of
 from toolkit.runs.settings import RunSettings
@@ -47,6 +48,7 @@ def build_slam(
     Raises:
         ToolkitError: the settings need something that the dataset or this machine lacks.
     """
+    reuse_freed_memory()
     settings = settings or RunSettings()
     recorder = recorder or StageRecorder()
     labeller = build_run_labeller(settings, dataset)
