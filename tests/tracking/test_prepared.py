@@ -70,9 +70,11 @@ def test_depth_is_summed_up(room):
     assert (prepared(blind, 1, CPU).median_depth_m, prepared(blind, 1, CPU).measured) == (1.0, 0)
 
 
-def test_wide_images_are_halved(room):
+def test_wide_images_are_halved(room, monkeypatch):
     frame = room.frames[0]
     camera = frame.camera
+    assert prepared(frame, 2, CPU, max_width=32).levels[0].camera == camera, "too few pixels"
+    monkeypatch.setattr(module, "MIN_PIXELS", camera.width * camera.height // 4)
     ready = prepared(frame, 2, CPU, max_width=camera.width - 1)
     assert ready.frame is frame
     assert [level.camera for level in ready.levels] == [camera.halved(), camera.halved().halved()]

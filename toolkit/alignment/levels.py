@@ -59,9 +59,9 @@ def pyramid(level: FrameLevel, levels: int) -> list[FrameLevel]:
     return out
 
 
-def limited_to_width(level: FrameLevel, max_width: int) -> FrameLevel:
-    """A level halved until it is no wider than `max_width` pixels."""
-    while level.camera.width > max_width:
+def limited_to_width(level: FrameLevel, max_width: int, min_pixels: int = 0) -> FrameLevel:
+    """A level halved until it is no wider than `max_width`, while it keeps `min_pixels` pixels."""
+    while level.camera.width > max_width and level.depth_m.numel() // 4 >= min_pixels:
         level = halved(level)
     return level
 

@@ -14,9 +14,10 @@ class DenseOptions:
 
     levels: Annotated[int, Range(ge=1, le=7)] = 4
     """Number of image pyramid levels. The coarsest image should keep 30 pixels per side."""
-    # Poses at 640x480 and 600x340 are as accurate when tracked at half that size, in half the time.
+    # Poses at 640x480 are as accurate when tracked at half that size, in half the time.
     max_width: Annotated[int, Range(ge=16)] = 480
-    """Maximum image width for tracking, in pixels. Wider images are halved."""
+    """Maximum image width for tracking, in pixels. Wider images are halved, as long as 320x240
+    pixels or as many remain."""
     start: Literal["velocity", "auto", "both"] = "auto"
     """Initial pose of a frame. velocity: constant velocity, or the previous pose; auto: also
     Open3D's odometry if the frame then fits badly; both: also Open3D's odometry for every frame.
