@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from slam_room import FEW, fed, fingerprint, first_steps
 
+from toolkit.geometry import se3
 from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
-from toolkit.loops.closing.options import LoopClosureOptions
+from toolkit.loops.closing.odometry import SubmapOdometry
+from toolkit.loops.closing.options import ClosingOptions, LoopClosureOptions
+from toolkit.loops.pose_graph.noise import OdometryNoise
 from toolkit.mapping import keyframes
+from toolkit.mapping.boundary import start_next
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import KeyframePolicy
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -25,6 +30,14 @@ from toolkit.tracking.dense import DenseTracker
 
 pytestmark = pytest.mark.usefixtures("few_matches")
 COUNT = 24
+
+
+@dataclass
+class AtlasOfThree:
+    active: int
+
+    def __len__(self):
+        return 3
 
 
 @pytest.fixture(scope="module")
@@ -43,11 +56,12 @@ def short_visits(monkeypatch):
         monkeypatch.setattr(module, "RECENT", 3)
 
 
-def new_slam(folder=None, revisit=0.05):
+def new_slam(folder=None, revisit=0.05, closing=None):
     options = replace(FEW, keyframes=KeyframePolicy(interval=2, revisit=revisit))
     mapper = Mapper(options, np.random.default_rng(0))
     context = ClosingContext(0, "auto", SemanticMapping(), None)
-    closer = build_loop_closer(LoopClosureOptions(), context)
+    closing = closing or ClosingOptions()
+    closer = build_loop_closer(LoopClosureOptions(closing=closing), context)
     allocation = Allocation(AllocationOptions(min_keyframes=3, max_keyframes=5), 0)
     atlas = Atlas(mapper.first_submap(), allocation, SubmapStore(folder, 0.0))
     return Slam(FrontEnd(DenseTracker(), closer), mapper, atlas=atlas)
@@ -114,12 +128,53 @@ def test_a_new_submap_after_the_way_back_is_linked_to_the_newest_one(there_and_b
     newest = len(slam.atlas) - 1
     assert newest > 1 and slam.atlas.active == 0
     closer = slam._closer
-    (way,) = closer._odometry.way_back
+    way = closer._odometry.ways_back[0]
     assert (way.first, way.second) == (newest, 0)
     expected = np.linalg.inv(slam.atlas.T_world_submap(newest)) @ slam.atlas.T_world_submap(0)
     assert np.abs(way.T_first_second - expected).max() < 0.02
     direct = closer._parts.noise.covariance(1e9 * np.eye(6), 0.0, 0.0)
     assert np.trace(way.covariance) > 2 * np.trace(direct), "it drifted on the way"
+
+
+def test_the_link_after_the_way_back_is_what_was_measured(there_and_back):
+    """Loops may have moved the anchors, wrongly: odometry does not contain it."""
+    slam = new_slam()
+    fed(slam, there_and_back[0])
+    atlas, closer = slam.atlas, slam._closer
+    newest = len(atlas) - 1
+    expected = closer._odometry.ways_back[0].T_first_second @ atlas.keyframes[-1].T_map_camera
+    atlas.move(newest, se3.exp(np.full(6, 0.1)) @ atlas.T_world_submap(newest))
+    start_next(atlas, slam.mapper)
+    closer.submap_started(atlas, 0, np.zeros((6, 6)))
+    link = closer._odometry.links[-1]
+    assert (link.first, link.second) == (newest, newest + 1)
+    assert np.abs(link.T_first_second - expected).max() < 1e-6
+    assert closer.enterable(atlas)[:1] == [0] and closer.origin(atlas) == 0
+
+
+def test_the_way_back_is_the_shortest_one(monkeypatch):
+    """Changes between earlier submaps do not make it longer."""
+    there = se3.exp(np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    monkeypatch.setattr(SubmapOdometry, "_path_in", lambda *_: [np.eye(4), there])
+    odometry, found = (
+        SubmapOdometry(OdometryNoise()),
+        SimpleNamespace(T_submap_camera=there, result=SimpleNamespace(information=1e8 * np.eye(6))),
+    )
+
+    def changed(left, to):
+        odometry.entered(AtlasOfThree(to), left, there, found)
+        return np.trace(odometry.ways_back[0].covariance)
+
+    before = changed(2, 0)
+    for _ in range(10):
+        changed(0, 1)
+        assert changed(1, 0) == before
+
+
+def test_without_loops_between_submaps_entering_one_adds_none(there_and_back):
+    slam = new_slam(closing=ClosingOptions(between=False))
+    results = fed(slam, there_and_back[0])
+    assert results[-1].submap == 0 and slam._closer.loops == []
 
 
 @pytest.mark.parametrize("full", [False, True])
@@ -132,7 +187,7 @@ def test_a_submap_that_shows_a_part_of_the_view_is_entered_unless_it_is_full(
     known = len(slam.atlas)
     assert known > 2 and slam.atlas.active == 0 and slam.atlas.visited > 0
     changes = submap_changes.SubmapChanges
-    monkeypatch.setattr(Allocation, "is_full", lambda self, keyframes: full)
+    monkeypatch.setattr(Atlas, "is_full", lambda self, submap: full)
     monkeypatch.setattr(changes, "_nearest", lambda *_: None)  # none shows all of it
     monkeypatch.setattr(changes, "_leaves", lambda *_: slam.atlas.active == 0)
     count = len(frames)

@@ -274,6 +274,38 @@ class TestSubmap:
         assert torch.equal(atlas.submap(0).gaussians.means, before + 1.0)
         assert sorted(path.name for path in tmp_path.iterdir()) == ["0000_1", "0001_0"]
 
+    def test_a_run_that_was_resumed_once_can_be_resumed_again(self, keyframes, tmp_path):
+        atlas = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
+        atlas.current.keyframes.extend(keyframes[:2])
+        atlas.start(replace(some_submap(1, seed=1), keyframes=[keyframes[1]]))
+        atlas.enter(0)
+        balances = atlas.keyframe_balances(0)
+        for number in (1, 0):
+            again = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
+            again.restore(*atlas.state())
+            again.enter(number)  # without a change of the one before
+            assert again.keyframe_balances(0) == balances
+            atlas = again
+
+    @pytest.mark.parametrize("more", [True, False])
+    def test_the_active_one_survives_the_loss_of_its_stored_version(
+        self, keyframes, tmp_path, more
+    ):
+        atlas = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
+        atlas.current.keyframes.extend(keyframes[:2])
+        atlas.start(replace(some_submap(1, seed=1), keyframes=[keyframes[1]]))
+        atlas.enter(0)
+        if more:
+            atlas.current.keyframes.append(keyframes[2])
+        count = len(atlas.keyframes)
+        (tmp_path / "0000_0" / "arrays.npz").write_bytes(b"")
+        again = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
+        again.restore(*atlas.state())
+        assert again.unreadable == []
+        again.enter(1)
+        assert again.stored_versions == {"0": 1, "1": 0}
+        assert len(again.submap(0).keyframes) == count
+
     def test_one_that_cannot_be_read_is_not_entered(self, keyframes, tmp_path):
         atlas = Atlas(some_submap(0), store=SubmapStore(tmp_path, budget_mb=0))
         for number in (1, 2):  # only the last one that was used is in memory

@@ -53,6 +53,7 @@ _REQUIRED = {
     "between": ("first", "second", "reason"),
     "retracted": ("first", "second", "reason"),
     "found": ("first", "second"),
+    "entered": ("first", "second"),
 }
 
 
@@ -152,6 +153,9 @@ def summary(records: Sequence[Record]) -> list[str]:
                 f"submap {record['second']} started at a frame relocalised in submap "
                 f"{record['first']}"
             )
+        elif record["kind"] == "entered":
+            pair = f"submaps {record['first']} and {record['second']}"
+            lines.append(f"{pair}: connected where the camera changed from one to the other")
         elif record["kind"].startswith("correction") and "largest_m" in record:
             corrected = "anchors" if record["kind"].endswith("between") else "keyframes"
             largest = f"{100 * record['largest_m']:.1f} cm"

@@ -137,7 +137,7 @@ class RunFolder:
 
     def remove_leftovers(self) -> None:
         """Remove what a killed process was writing or replacing; call it in the resumed run."""
-        for parent in (self.path, self.checkpoints, self.submaps):
+        for parent in (self.path, self.checkpoints, self.submaps, *self.submaps.glob("*/")):
             for pattern in (".writing-*", ".replaced-*"):
                 for path in parent.glob(pattern):
                     if path.is_dir():

@@ -21,6 +21,7 @@ from toolkit.mapping.mapper import Mapper
 from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
+from toolkit.submaps.submap import Submap
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tracker import LocatingTracker
 
@@ -122,8 +123,11 @@ class SubmapChanges:
         if not self._overlaps_enough(None if candidate is None else candidate.number):
             return None
         stays = frame.index - self._entered_at < _MIN_STAY
-        if candidate is None and not stays and self._leaves(frame, T_map_camera):
-            candidate = self._largest_part(frame, T_map_camera)
+        if candidate is None and self._atlas.visited > 0:
+            full = self._atlas.is_full(self._atlas.current)
+            if not self._leaves(frame, T_map_camera, full):
+                return SeenAgain(None) if full else None
+            candidate = None if stays else self._largest_part(frame, T_map_camera)
         if candidate is None or tracking is None or not isinstance(self._tracker, LocatingTracker):
             return None
         if stays:
@@ -171,15 +175,15 @@ class SubmapChanges:
         if self._mapper.options.keyframes.revisit == 0.0:
             return None
         for number, nearest, T_submap_camera in self._others(frame, T_map_camera):
-            keyframes = self._keyframes_of(number, frame) if nearest < least else []
-            if keyframes and self._shows(keyframes, frame, T_submap_camera):
+            submap = self._read(number, frame) if nearest < least else None
+            if submap is not None and self._shows(submap.keyframes, frame, T_submap_camera):
                 found, least = _Candidate(number, T_submap_camera), nearest
         return found
 
-    def _leaves(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> bool:
-        """Whether the camera leaves an earlier submap that it has entered, and that is complete."""
+    def _leaves(self, frame: Frame, T_map_camera: NDArray[np.float64], full: bool) -> bool:
+        """Whether the camera leaves an earlier submap that it has entered, if that is complete."""
         atlas = self._atlas
-        if atlas.visited == 0 or not atlas.has_enough(atlas.keyframes):
+        if not (full or atlas.has_enough(atlas.keyframes)):
             return False
         established = atlas.established_keyframes
         return seen_fraction(established, frame, T_map_camera) < _MIN_PARTLY
@@ -188,9 +192,11 @@ class SubmapChanges:
         """The submap that shows most of a frame that the active one does not show."""
         found, most = None, _MIN_PARTLY
         for number, nearest, T_submap_camera in self._others(frame, T_map_camera):
-            keyframes = self._keyframes_of(number, frame) if nearest < _SIMILAR else []
-            part = seen_fraction(keyframes, frame, T_submap_camera) if keyframes else 0.0
-            if part >= most and not self._atlas.is_full(keyframes):
+            submap = self._read(number, frame) if nearest < _SIMILAR else None
+            if submap is None or self._atlas.is_full(submap):
+                continue
+            part = seen_fraction(submap.keyframes, frame, T_submap_camera)
+            if part >= most:
                 found, most = _Candidate(number, T_submap_camera, partly=True), part
         return found
 
@@ -208,13 +214,13 @@ class SubmapChanges:
             nearest = float(_motion(frame, views, T_submap_camera).min(initial=np.inf))
             yield number, nearest, T_submap_camera
 
-    def _keyframes_of(self, number: int, frame: FrameStamp) -> list[Keyframe]:
-        """The keyframes of a submap; empty if it cannot be read."""
+    def _read(self, number: int, frame: FrameStamp) -> Submap | None:
+        """A submap; None if it cannot be read."""
         try:
-            return self._atlas.submap(number).keyframes
+            return self._atlas.submap(number)
         except ToolkitError as error:
             _log.debug("frame %d: %s", frame.index, error)
-            return []
+            return None
 
     def _overlaps_enough(self, number: int | None) -> bool:
         """Whether the newest submaps show enough of earlier ones for accurate loops; count this.
@@ -227,10 +233,11 @@ class SubmapChanges:
         atlas = self._atlas
         if atlas.visited > 0:
             return True
-        if number == atlas.active - 1:
+        if number is not None and number == self._closer.origin(atlas):
             # Its newest keyframes are of the same visit.
             return len(atlas.keyframes) >= RECENT
-        self._shared = max(0, self._shared - 1) if number is None else self._shared + 1
+        change = -1 if number is None else 1
+        self._shared = min(max(0, self._shared + change), _MIN_SHARED + 1)
         return self._shared > _MIN_SHARED
 
     def _shows(

@@ -113,15 +113,10 @@ class Allocation:
         newest, options = keyframes[-1], self.options
         overlap = view_overlap(newest, self.established(keyframes))
         divergence = self._divergence(newest, keyframes[0])
-        reason = ""
-        if self.is_full(keyframes):
-            reason = f"{len(keyframes)} keyframes"
+        if reason := self.limit(keyframes, gaussians):
+            pass
         elif self.has_enough(keyframes) and overlap < options.min_overlap:
             reason = f"{len(keyframes)} keyframes and overlap {overlap:.2f}"
-        elif gaussians >= options.max_gaussians:
-            reason = f"{gaussians} Gaussians"
-        elif path_length_m(keyframes) >= options.max_path_m:
-            reason = f"a path of {path_length_m(keyframes):.1f} m"
         elif options.rule == "motion":
             reason = self._far_from_anchor(keyframes)
         elif len(keyframes) >= options.min_keyframes:
@@ -132,9 +127,14 @@ class Allocation:
         """The keyframes that a view is compared with: not the newest, which see most of it."""
         return keyframes[: max(1, len(keyframes) - self.options.recent)]
 
-    def is_full(self, keyframes: Sequence[Keyframe]) -> bool:
-        """Whether a submap gets no more keyframes."""
-        return len(keyframes) >= self.options.max_keyframes
+    def limit(self, keyframes: list[Keyframe], gaussians: int) -> str:
+        """The limit of its size that a submap has reached; empty if it has reached none."""
+        if len(keyframes) >= self.options.max_keyframes:
+            return f"{len(keyframes)} keyframes"
+        if gaussians >= self.options.max_gaussians:
+            return f"{gaussians} Gaussians"
+        path_m = path_length_m(keyframes)
+        return f"a path of {path_m:.1f} m" if path_m >= self.options.max_path_m else ""
 
     def has_enough(self, keyframes: Sequence[Keyframe]) -> bool:
         """Whether a submap should only get keyframes of what it does not show yet."""

@@ -146,9 +146,11 @@ class Atlas:
         """Whether a submap should only get keyframes of what it does not show yet."""
         return self._allocation is not None and self._allocation.has_enough(keyframes)
 
-    def is_full(self, keyframes: list[Keyframe]) -> bool:
-        """Whether a submap gets no more keyframes."""
-        return self._allocation is not None and self._allocation.is_full(keyframes)
+    def is_full(self, submap: Submap) -> bool:
+        """Whether a submap has reached a limit of its size."""
+        if self._allocation is None:
+            return False
+        return bool(self._allocation.limit(submap.keyframes, len(submap.gaussians)))
 
     @property
     def established_keyframes(self) -> list[Keyframe]:
@@ -246,6 +248,10 @@ class Atlas:
         self.saved = int(values["saved"])
         self.verdicts = [AllocationVerdict.from_values(row) for row in values["verdicts"]]
         self.unreadable = self._store.restore(values["store"])
+        if self.has_active_submap and self.active in self.unreadable:
+            # Only its stored version is lost, and is written again.
+            self.unreadable.remove(self.active)
+            self._submaps[self.active].stored_poses = {}
         self._checkpoints = [dict(values["store"])]
 
 

@@ -86,6 +86,7 @@ class PagedSubmap:
         """
         submap = self.content
         if self._is_stored(submap):
+            self.stored_balances = _balances(submap)  # not restored with the active submap
             self.store.give_back(submap)
             self.active = None
         else:
@@ -115,7 +116,7 @@ class PagedSubmap:
             list(poses) == list(self.stored_poses)
             and all(np.array_equal(T, self.stored_poses[index]) for index, T in poses.items())
             and len(submap.gaussians) == self.stored_gaussians
-            and not submap.optimiser.is_active
+            and (self.active is None or not self.active.optimiser.is_active)
         )
 
     def put(self, submap: Submap) -> None:

@@ -38,8 +38,6 @@ from toolkit.loops.pose_graph.graph import (
     PoseEdge,
     adjacent,
     connected_parts,
-    covariance_in_frame,
-    information_of,
 )
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.mapping.mapper import Mapper
@@ -130,10 +128,17 @@ class LoopCloser:
 
         The relative poses of others contain the drift of a long way, and their loops may be wrong.
         """
-        links = self._odometry.known
-        near = adjacent(adjacent({atlas.active}, links), self.loops)
-        near = adjacent(near, links)
+        near = self._beside({atlas.active})
+        near = self._beside(adjacent(near, self.loops))
         return sorted(n for n in near if n != atlas.active and n >= atlas.saved)
+
+    def _beside(self, numbers: set[int]) -> set[int]:
+        """The submaps, and those that started in one of them or in which one of them started."""
+        return numbers.union(*(self._odometry.beside(number) for number in numbers))
+
+    def origin(self, atlas: Atlas) -> int | None:
+        """Number of the submap in which the active one started; see `LoopClosing`."""
+        return self._odometry.origins.get(atlas.active)
 
     def submap_entered(
         self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation
@@ -142,25 +147,21 @@ class LoopCloser:
 
         If it has none with the submap that was entered, the common frame becomes one.
         """
-        self._odometry.entered(atlas, ended, T_ended_camera, found)
+        step = self._odometry.entered(atlas, ended, T_ended_camera, found)
         self._submap_ended(atlas, ended)
+        if self._deferred or not self.options.between:
+            return
         pair = {found.submap, ended}
         edges = [*self._odometry.known, *self.loops]
-        if not self._deferred and all({edge.first, edge.second} != pair for edge in edges):
-            self.loops.append(self._loop_of(found, ended, T_ended_camera))
-            values = {"first": found.submap, "second": ended}
-            self._record("found", values | {"visible": found.result.visible_fraction})
+        if any({edge.first, edge.second} == pair for edge in edges):
+            return
+        step = step if step.first < step.second else step.inverted()
+        loop = PoseEdge.loop(step.first, step.second, step.T_first_second, step.information)
+        self.loops.append(loop)
+        values = {"first": loop.first, "second": loop.second}
+        self._record("entered", values | {"visible": found.result.visible_fraction})
+        with self._recorder.timed(Stage.LOOPS_BETWEEN):
             self._correct_between(atlas)
-
-    def _loop_of(self, found: Relocalisation, second: int, T_second_camera: Array) -> PoseEdge:
-        """The loop edge of a frame that was located in a submap, from its pose in another one."""
-        covariance = self._parts.loop_noise.alignment(found.result.information)
-        T_camera_second = se3.inverse(T_second_camera)
-        information = information_of(covariance_in_frame(covariance, T_camera_second))
-        T = se3.orthonormalise(found.T_submap_camera @ T_camera_second)
-        first = found.submap
-        edge = PoseEdge.loop(first, second, T, information)
-        return edge if first < second else edge.inverted()
 
     def _submap_ended(self, atlas: Atlas, number: int) -> None:
         """Close the loops of a submap that is no longer active, unless this is deferred."""
@@ -194,7 +195,7 @@ class LoopCloser:
         Its odometry is interrupted, so its pose relative to the previous submap is uncertain. If
         the frame was relocalised in a submap, the relocalisation becomes a loop edge.
         """
-        self._odometry.started_lost(atlas)
+        self._odometry.started_lost(atlas, None if found is None else found.submap)
         new = atlas.active
         if found is None:
             return
@@ -224,7 +225,7 @@ class LoopCloser:
             for other in sorted({c.match_submap for c in candidates}):
                 pairs = [c for c in candidates if c.match_submap == other]
                 edge = existing.get((other, number)) or existing.get((number, other))
-                if edge is not None and number in self._odometry.ended:
+                if edge is not None and number in self._odometry.ended and not self._deferred:
                     continue  # the camera was here again
                 new = self._between.close(atlas, (other, number), pairs, self._odometry.links)
                 if new is None and edge is not None:
@@ -367,7 +368,8 @@ class LoopCloser:
 
     def _edges(self) -> dict[str, list[PoseEdge]]:
         odometry = self._odometry
-        return {"loops": self.loops, "links": odometry.links, "way_back": odometry.way_back}
+        ways_back = list(odometry.ways_back.values())
+        return {"loops": self.loops, "links": odometry.links, "ways_back": ways_back}
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`, and truncate the log to its size at that time."""
@@ -377,8 +379,8 @@ class LoopCloser:
             make = PoseEdge.loop if name == "loops" else PoseEdge
             rows = zip(ends, arrays[f"{name}/T"], arrays[f"{name}/information"], strict=True)
             restored.append([make(first, second, T, info) for (first, second), T, info in rows])
-        self.loops, links, way_back = restored
-        self._odometry.restore(links, way_back, values["odometry"])
+        self.loops, links, ways_back = restored
+        self._odometry.restore(links, ways_back, values["odometry"])
         self._pending = [LoopCandidate(**candidate) for candidate in values["suspected"]]
         if self._log is not None and values["log_bytes"] is not None:
             self._log.truncate(values["log_bytes"])

@@ -83,6 +83,10 @@ class LoopClosing(Protocol):
         """
         ...
 
+    def origin(self, atlas: Atlas) -> int | None:
+        """Number of the submap in which the active one started; None if that is not known."""
+        ...
+
     def submap_entered(
         self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation
     ) -> None:
@@ -158,6 +162,10 @@ class NoLoopClosing:
     def enterable(self, atlas: Atlas) -> list[int]:
         """No relative pose was verified."""
         return []
+
+    def origin(self, atlas: Atlas) -> int | None:
+        """Not recorded."""
+        return None
 
     def submap_entered(
         self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation

@@ -37,13 +37,15 @@ class SubmapOdometry:
     Attributes:
         links: edges from each submap to the next one, by number.
         ended: numbers of the submaps that have been left at least once.
-        way_back: from the newest submap to the active one; empty if they are the same.
+        ways_back: edges from the newest submap to those entered since it was left, by number.
+        origins: number of the submap in which each submap started, by number.
     """
 
     def __init__(self, noise: OdometryNoise) -> None:
         self.links: list[PoseEdge] = []
         self.ended: set[int] = set()
-        self.way_back: list[PoseEdge] = []
+        self.ways_back: dict[int, PoseEdge] = {}
+        self.origins: dict[int, int] = {}
         self._noise = noise
         # Numbers of the submaps that did not start in the newest one.
         self._elsewhere: set[int] = set()
@@ -69,40 +71,57 @@ class SubmapOdometry:
         boundary = next(iter(atlas.keyframe_poses(new)))
         path = self._path_in(atlas, where, atlas.keyframe_poses(where)[boundary])
         edge = self._noise.along(where, new, path, information)
-        for way in self.way_back:
-            edge = way.then(edge)
+        edge = replace(edge, T_first_second=_between(atlas, where, new))
+        if where != new - 1:
+            edge = self.ways_back[where].then(edge)
             self._elsewhere.add(new)
-        self.way_back = []
-        self.links.append(replace(edge, T_first_second=_between(atlas, new - 1, new)))
+        self.ways_back, self.origins[new] = {}, where
+        self.links.append(edge)
 
-    def started_lost(self, atlas: Atlas) -> None:
+    def started_lost(self, atlas: Atlas, where: int | None) -> None:
         """Add the edge of the active submap, which started at a lost frame.
 
         The odometry is interrupted, so the pose relative to the submap before is uncertain.
+
+        Args:
+            where: number of the submap in which the frame was relocalised, if it was.
         """
         new = atlas.active
-        self.way_back = []
-        T = se3.inverse(atlas.T_world_submap(new - 1)) @ atlas.T_world_submap(new)
-        self.links.append(PoseEdge(new - 1, new, T, _UNKNOWN_POSE))
+        self.ways_back = {}
+        if where is not None:
+            self.origins[new] = where
+        self.links.append(PoseEdge(new - 1, new, _between(atlas, new - 1, new), _UNKNOWN_POSE))
 
-    def entered(self, atlas: Atlas, left: int, T_left_camera: Array, found: Relocalisation) -> None:
-        """Remember the way from the newest submap to the active one, which is an earlier one.
+    def beside(self, number: int) -> set[int]:
+        """The submap in which a submap started, and those that started in it."""
+        started = {new for new, where in self.origins.items() if where == number}
+        return started | {self.origins.get(number, number)} - {number}
+
+    def entered(
+        self, atlas: Atlas, left: int, T_left_camera: Array, found: Relocalisation
+    ) -> PoseEdge:
+        """Remember the way from the newest submap to the active one, if that is an earlier one.
 
         Args:
             left: number of the submap that was active before.
             T_left_camera: [4, 4] pose of a frame in it.
             found: the same frame in the active submap.
+
+        Returns:
+            The edge from the one to the other, with the drift within the former.
         """
-        if atlas.active == len(atlas) - 1:
-            self.way_back = []
-            return
         path = self._path_in(atlas, left, T_left_camera)
         drift = self._noise.along(left, atlas.active, path, found.result.information).covariance
         T_camera_active = se3.inverse(found.T_submap_camera)
         information = information_of(covariance_in_frame(drift, T_camera_active))
         T = se3.orthonormalise(T_left_camera @ T_camera_active)
         step = PoseEdge(left, atlas.active, T, information)
-        self.way_back = [way.then(step) for way in self.way_back] or [step]
+        newest = len(atlas) - 1
+        # The first way to a submap is the shortest one.
+        if atlas.active != newest and atlas.active not in self.ways_back:
+            way = step if left == newest else self.ways_back[left].then(step)
+            self.ways_back[atlas.active] = way
+        return step
 
     def _path_in(self, atlas: Atlas, number: int, T_submap_camera: Array) -> list[Array]:
         """Keyframe poses from a submap's anchor to a camera, along which the map has drifted.
@@ -135,13 +154,18 @@ class SubmapOdometry:
 
     def values(self) -> dict[str, Any]:
         """JSON values for `restore`; the edges are stored by the caller."""
-        return {"ended": sorted(self.ended), "elsewhere": sorted(self._elsewhere)}
+        return {
+            "ended": sorted(self.ended),
+            "elsewhere": sorted(self._elsewhere),
+            "origins": sorted(self.origins.items()),
+        }
 
     def restore(
-        self, links: Sequence[PoseEdge], way_back: Sequence[PoseEdge], values: Mapping[str, Any]
+        self, links: Sequence[PoseEdge], ways_back: Sequence[PoseEdge], values: Mapping[str, Any]
     ) -> None:
         """Restore an earlier state."""
-        self.links, self.way_back = list(links), list(way_back)
+        self.links, self.ways_back = list(links), {way.second: way for way in ways_back}
+        self.origins = {int(new): int(where) for new, where in values["origins"]}
         self.ended, self._elsewhere = set(values["ended"]), set(values["elsewhere"])
 
 
