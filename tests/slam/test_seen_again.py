@@ -200,6 +200,26 @@ def test_a_submap_that_shows_a_part_of_the_view_is_entered_unless_it_is_full(
     assert full or 0 < results[-1].submap < known
 
 
+def test_a_full_submap_does_not_grow_while_it_shows_the_view(there_and_back, monkeypatch):
+    slam = new_slam()
+    frames = there_and_back[0]
+    fed(slam, frames)
+    known, count = len(slam.atlas), len(slam.atlas.keyframes)
+    changes = submap_changes.SubmapChanges
+    monkeypatch.setattr(Atlas, "is_full", lambda self, submap: True)
+    monkeypatch.setattr(changes, "_nearest", lambda *_: None)
+    monkeypatch.setattr(changes, "_leaves", lambda *_: False)
+    first = len(frames)
+    again = [
+        replace(frame, index=first + i, timestamp_s=(first + i) / 30.0)
+        for i, frame in enumerate(frames[:COUNT])
+    ]
+    results = fed(slam, again)
+    assert {result.submap for result in results} == {0}
+    assert (len(slam.atlas), len(slam.atlas.keyframes)) == (known, count)
+    assert all(result.T_map_camera is not None for result in results)
+
+
 def test_a_progress_bar_follows_the_steps_of_the_refinement(there_and_back):
     slam = new_slam()
     fed(slam, there_and_back[0][:12])

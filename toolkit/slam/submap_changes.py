@@ -128,10 +128,19 @@ class SubmapChanges:
             if not self._leaves(frame, T_map_camera, full):
                 return SeenAgain(None) if full else None
             candidate = None if stays else self._largest_part(frame, T_map_camera)
-        if candidate is None or tracking is None or not isinstance(self._tracker, LocatingTracker):
+        if candidate is None or tracking is None:
             return None
         if stays:
             return SeenAgain(None)
+        found = self._located(frame, candidate, tracking)
+        return None if found is None else SeenAgain(found)
+
+    def _located(
+        self, frame: Frame, candidate: _Candidate, tracking: TrackingResult
+    ) -> Relocalisation | None:
+        """The frame in a candidate, if it is found where it is predicted, and shown there."""
+        if not isinstance(self._tracker, LocatingTracker):
+            return None
         number, T_predicted = candidate.number, candidate.T_submap_camera
         submap = self._atlas.submap(number)
         gaussians = submap.gaussians.to(self._atlas.device)
@@ -148,7 +157,7 @@ class SubmapChanges:
             shown = part >= _MIN_PARTLY
         else:
             shown = self._shows(submap.keyframes, frame, result.T_map_camera)
-        return SeenAgain(Relocalisation(number, result)) if shown else None
+        return Relocalisation(number, result) if shown else None
 
     def enter(
         self, again: Relocalisation, frame: FrameStamp, T_map_camera: NDArray[np.float64]
