@@ -124,6 +124,7 @@ SUBSET = (
     "fr1/rpy, stride 2",
     "fr1/rpy, bursts dropped",
     "office0, stride 2",
+    "office0, stride 16",
     "HoloLens walk, stride 4",
     "room, stride 8",
     "room, weak texture, stride 4",
