@@ -40,12 +40,17 @@ class AtlasOfThree:
         return 3
 
 
+def following(frames, first):
+    """Frames as the next ones of a sequence."""
+    return [replace(f, index=i, timestamp_s=i / 30.0) for i, f in enumerate(frames, first)]
+
+
 @pytest.fixture(scope="module")
 def there_and_back():
     """24 frames of a room, and the same backwards."""
     room = first_steps(COUNT)
     shown = [*range(COUNT), *range(COUNT - 2, -1, -1)]
-    frames = [replace(room.frames[k], index=i, timestamp_s=i / 30.0) for i, k in enumerate(shown)]
+    frames = following([room.frames[k] for k in shown], 0)
     return frames, room.truth.T_world_camera[shown]
 
 
@@ -190,12 +195,7 @@ def test_a_submap_that_shows_a_part_of_the_view_is_entered_unless_it_is_full(
     monkeypatch.setattr(Atlas, "is_full", lambda self, submap: full)
     monkeypatch.setattr(changes, "_nearest", lambda *_: None)  # none shows all of it
     monkeypatch.setattr(changes, "_leaves", lambda *_: slam.atlas.active == 0)
-    count = len(frames)
-    again = [
-        replace(frame, index=count + i, timestamp_s=(count + i) / 30.0)
-        for i, frame in enumerate(frames[: COUNT // 2])
-    ]
-    results = fed(slam, again)
+    results = fed(slam, following(frames[: COUNT // 2], len(frames)))
     assert (len(slam.atlas) > known) == full
     assert full or 0 < results[-1].submap < known
 
@@ -209,12 +209,7 @@ def test_a_full_submap_does_not_grow_while_it_shows_the_view(there_and_back, mon
     monkeypatch.setattr(Atlas, "is_full", lambda self, submap: True)
     monkeypatch.setattr(changes, "_nearest", lambda *_: None)
     monkeypatch.setattr(changes, "_leaves", lambda *_: False)
-    first = len(frames)
-    again = [
-        replace(frame, index=first + i, timestamp_s=(first + i) / 30.0)
-        for i, frame in enumerate(frames[:COUNT])
-    ]
-    results = fed(slam, again)
+    results = fed(slam, following(frames[:COUNT], len(frames)))
     assert {result.submap for result in results} == {0}
     assert (len(slam.atlas), len(slam.atlas.keyframes)) == (known, count)
     assert all(result.T_map_camera is not None for result in results)

@@ -110,17 +110,10 @@ class Allocation:
             keyframes: the submap's keyframes, the anchor first.
             gaussians: number of Gaussians in the submap.
         """
-        newest, options = keyframes[-1], self.options
+        newest = keyframes[-1]
         overlap = view_overlap(newest, self.established(keyframes))
         divergence = self._divergence(newest, keyframes[0])
-        if reason := self.limit(keyframes, gaussians):
-            pass
-        elif self.has_enough(keyframes) and overlap < options.min_overlap:
-            reason = f"{len(keyframes)} keyframes and overlap {overlap:.2f}"
-        elif options.rule == "motion":
-            reason = self._far_from_anchor(keyframes)
-        elif len(keyframes) >= options.min_keyframes:
-            reason = self._new_view(overlap, divergence)
+        reason = self.limit(keyframes, gaussians) or self._left(keyframes, overlap, divergence)
         return AllocationVerdict(newest.index, number, overlap, divergence, reason)
 
     def established(self, keyframes: list[Keyframe]) -> list[Keyframe]:
@@ -135,6 +128,17 @@ class Allocation:
             return f"{gaussians} Gaussians"
         path_m = path_length_m(keyframes)
         return f"a path of {path_m:.1f} m" if path_m >= self.options.max_path_m else ""
+
+    def _left(self, keyframes: list[Keyframe], overlap: float, divergence: float) -> str:
+        """Why the newest keyframe has left the submap; empty if it has not."""
+        options = self.options
+        if self.has_enough(keyframes) and overlap < options.min_overlap:
+            return f"{len(keyframes)} keyframes and overlap {overlap:.2f}"
+        if options.rule == "motion":
+            return self._far_from_anchor(keyframes)
+        if len(keyframes) >= options.min_keyframes:
+            return self._new_view(overlap, divergence)
+        return ""
 
     def has_enough(self, keyframes: Sequence[Keyframe]) -> bool:
         """Whether a submap should only get keyframes of what it does not show yet."""

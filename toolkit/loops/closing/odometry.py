@@ -47,8 +47,6 @@ class SubmapOdometry:
         self.ways_back: dict[int, PoseEdge] = {}
         self.origins: dict[int, int] = {}
         self._noise = noise
-        # Numbers of the submaps that did not start in the newest one.
-        self._elsewhere: set[int] = set()
 
     @property
     def known(self) -> list[PoseEdge]:
@@ -74,7 +72,6 @@ class SubmapOdometry:
         edge = replace(edge, T_first_second=_between(atlas, where, new))
         if where != new - 1:
             edge = self.ways_back[where].then(edge)
-            self._elsewhere.add(new)
         self.ways_back, self.origins[new] = {}, where
         self.links.append(edge)
 
@@ -146,7 +143,7 @@ class SubmapOdometry:
         pairs = zip(self.links, measured_links(self.links, path, self._noise), strict=True)
         return [
             link
-            if link.second in self._elsewhere
+            if self.origins.get(link.second, link.first) != link.first  # with a way back
             or any(np.array_equal(link.information, information) for information in fixed)
             else measured
             for link, measured in pairs
@@ -154,11 +151,7 @@ class SubmapOdometry:
 
     def values(self) -> dict[str, Any]:
         """JSON values for `restore`; the edges are stored by the caller."""
-        return {
-            "ended": sorted(self.ended),
-            "elsewhere": sorted(self._elsewhere),
-            "origins": sorted(self.origins.items()),
-        }
+        return {"ended": sorted(self.ended), "origins": sorted(self.origins.items())}
 
     def restore(
         self, links: Sequence[PoseEdge], ways_back: Sequence[PoseEdge], values: Mapping[str, Any]
@@ -166,7 +159,7 @@ class SubmapOdometry:
         """Restore an earlier state."""
         self.links, self.ways_back = list(links), {way.second: way for way in ways_back}
         self.origins = {int(new): int(where) for new, where in values["origins"]}
-        self.ended, self._elsewhere = set(values["ended"]), set(values["elsewhere"])
+        self.ended = set(values["ended"])
 
 
 def _between(atlas: Atlas, first: int, second: int) -> Array:
