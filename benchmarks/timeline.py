@@ -18,6 +18,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,9 @@ from toolkit.stages import Stage
 
 FRAMES, _SHOWN, _WARM = 80, 7, 30
 ROWS: dict[str, dict[str, Any]] = {
-    f"{title} {kind}": {"recording": name, "row": kind}
+    f"{title}{', AVX2' * (isa == 'avx2')}, {kind}": {"recording": name, "row": kind, "isa": isa}
     for title, name in (("320x240", "redkitchen"), ("640x480", "redkitchen-native"))
+    for isa in ("", "avx2")
     for kind in ("ms per frame", "cores")
 }
 # Stages of the loop over frames, innermost ones where they are nested.
@@ -52,7 +54,8 @@ DESCRIPTION = f"""\
 Frames {_WARM} to {FRAMES} of 7-Scenes RedKitchen with default settings, in milliseconds of
 wall-clock time per frame, and the cores that the process used meanwhile: processor time over
 wall-clock time, that of the thread that reads and filters later frames included. `rest` is the
-time of a frame outside of the named stages. The [picture](timeline.svg) shows {_SHOWN} frames:
+time of a frame outside of the named stages. Rows without an instruction set used the best one of
+the machine. The [picture](timeline.svg) shows {_SHOWN} frames:
 each stage in the thread that ran it."""
 
 
@@ -108,7 +111,7 @@ def main() -> None:
 
 def measure(job: dict[str, Any], _seed: int) -> Metrics:
     """Milliseconds per frame or cores by stage."""
-    spans = _spans(job["recording"])
+    spans = _spans(job["recording"], job["isa"])
     wall: dict[str, float] = defaultdict(float)
     used: dict[str, float] = defaultdict(float)
     for span in spans:
@@ -122,9 +125,16 @@ def measure(job: dict[str, Any], _seed: int) -> Metrics:
     return {name: 1e3 * wall[name] / count for name in COLUMNS}
 
 
-def _spans(recording: str) -> list[Span]:
-    """The spans of a run in a process of its own, which uses all cores."""
+@cache
+def _spans(recording: str, isa: str = "") -> list[Span]:
+    """The spans of a run in a process of its own, which uses all cores.
+
+    Args:
+        isa: instruction set of the kernels; the best one of the machine if empty.
+    """
     environment = {k: v for k, v in os.environ.items() if k != "OMP_NUM_THREADS"}
+    if isa:
+        environment["SEMSPLAT_ISA"] = isa
     command = [sys.executable, "-m", "benchmarks.timeline", "--child", recording]
     done = subprocess.run(command, stdout=subprocess.PIPE, check=True, env=environment)
     return [Span(**values) for values in json.loads(done.stdout.splitlines()[-1])]
