@@ -10,14 +10,17 @@ bends the gradient in the same way and is treated alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.cloud import GaussianCloud, LowPass
+from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids, harmonic_basis
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native import load_variant
@@ -29,6 +32,7 @@ from toolkit.rendering.reference import ReferenceBackend
 
 BAND = 1e-5
 GROUPS = ("means", "log_radii", "opacity_logits", "colours", "features", "T_camera_map")
+SHAPE_GROUPS = ("log_scales", "rotations", "harmonics")
 
 
 @dataclass(frozen=True)
@@ -54,9 +58,8 @@ class Scene:
         weights = torch.randn(shape, generator=torch.Generator().manual_seed(seed))
         return weights * ~torch.from_numpy(discontinuous_pixels(self))
 
-    def with_cloud(self, **changes: Tensor) -> Scene:
-        parts = {f: getattr(self.cloud, f) for f in PARAMETERS}
-        return Scene(GaussianCloud(**(parts | changes)), self.camera, self.T_camera_map)
+    def with_cloud(self, **changes: Any) -> Scene:
+        return Scene(replace(self.cloud, **changes), self.camera, self.T_camera_map)
 
 
 def native_backend(instruction_set: str) -> NativeRenderer:
@@ -122,14 +125,33 @@ def random_scene(
     return Scene(cloud, camera, T_camera_map)
 
 
+def ellipsoid_scene(
+    seed: int,
+    low_pass: LowPass,
+    degree: int = 3,
+    count: int = 60,
+    channels: int = 3,
+    size: tuple[int, int] = (45, 37),
+) -> Scene:
+    """Turned ellipsoids with axes of ratios up to 10 and view-dependent colours."""
+    scene = random_scene(seed, count, channels, size)
+    rng = np.random.default_rng(seed + 1)
+    stretch = rng.uniform(-1.15, 1.15, (count, 3))
+    shapes = Ellipsoids(
+        scene.cloud.log_radii[:, None] + _tensor(stretch),
+        _tensor(rng.normal(size=(count, 4))),
+        _tensor(rng.normal(scale=0.2, size=(count, HARMONIC_COUNTS[degree], 3))),
+    )
+    return scene.with_cloud(ellipsoids=shapes, low_pass=low_pass)
+
+
 def _tensor(array: NDArray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
 
 
 def exact(scene: Scene) -> Scene:
     """Convert float32 parameters to float64."""
-    parts = {f: getattr(scene.cloud, f).double() for f in PARAMETERS}
-    return scene.with_cloud(**parts)
+    return Scene(scene.cloud.mapped(torch.Tensor.double), scene.camera, scene.T_camera_map)
 
 
 def reference_images(scene: Scene, region: Tensor | None = None) -> Tensor:
@@ -144,14 +166,15 @@ def raw_alphas(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     order = np.argsort(z, kind="stable")
     order = order[z[order] > NEAR_M]
     u, v = camera.project(points[order]).T
-    sigma = camera.focal * cloud.log_radii.double().exp().numpy()[order] / z[order]
-    opacity = cloud.opacity_logits.double().sigmoid().numpy()[order]
+    footprint, gain = _footprints(scene, order, points[order])
+    opacity = cloud.opacity_logits.double().sigmoid().numpy()[order] * gain
     y, x = np.mgrid[: camera.height, : camera.width]
-    squared = (x - u[:, None, None]) ** 2 + (y - v[:, None, None]) ** 2
-    alphas = opacity[:, None, None] * np.exp(-0.5 * squared / sigma[:, None, None] ** 2)
+    offset = np.stack([x - u[:, None, None], y - v[:, None, None]], axis=-1)
+    squared = np.einsum("nyxi,nij,nyxj->nyx", offset, np.linalg.inv(footprint), offset)
+    alphas = opacity[:, None, None] * np.exp(-0.5 * squared)
     values = np.concatenate(
         [
-            cloud.colours.double().numpy()[order],
+            _seen_colours(scene)[order],
             z[order, None],
             np.ones((len(order), 1)),
             cloud.features.double().numpy()[order],
@@ -159,6 +182,47 @@ def raw_alphas(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         axis=1,
     )
     return alphas, values
+
+
+def _footprints(scene: Scene, order: NDArray, points: NDArray) -> tuple[NDArray, NDArray]:
+    """Covariances [M, 2, 2] in the image and factors [M] of the opacity."""
+    cloud, camera, R = scene.cloud, scene.camera, scene.T_camera_map[:3, :3]
+    if cloud.ellipsoids is None:
+        sigma = camera.focal * cloud.log_radii.double().exp().numpy()[order] / points[:, 2]
+        bare = sigma[:, None, None] ** 2 * np.eye(2)
+    else:
+        turned = Rotation.from_quat(cloud.ellipsoids.rotations.double().numpy()[:, [1, 2, 3, 0]])
+        axes = turned.as_matrix()[order]
+        variances = np.exp(2.0 * cloud.ellipsoids.log_scales.double().numpy()[order])
+        covariances = R @ (axes * variances[:, None]) @ axes.transpose(0, 2, 1) @ R.T
+        middle = [(camera.width - 1) / 2, (camera.height - 1) / 2]
+        middle -= np.array([camera.cx, camera.cy])
+        reach = 1.3 * np.array([camera.width, camera.height]) / 2
+        focal = np.array([camera.fx, camera.fy])
+        slopes = points[:, :2] / points[:, 2:]
+        slopes = np.clip(slopes, (middle - reach) / focal, (middle + reach) / focal)
+        J = np.zeros((len(points), 2, 3))
+        J[:, 0, 0], J[:, 1, 1] = focal[:, None] / points[:, 2]
+        J[:, :, 2] = -focal * slopes / points[:, 2:]
+        bare = J @ covariances @ J.transpose(0, 2, 1)
+    variance, compensated = cloud.low_pass.variance_px2, cloud.low_pass.compensated
+    filtered = bare + variance * np.eye(2)
+    ratio = np.linalg.det(bare) / np.linalg.det(filtered)
+    return filtered, np.sqrt(ratio) if compensated else np.ones(len(points))
+
+
+def _seen_colours(scene: Scene) -> NDArray:
+    """Colours [N, 3] from the camera."""
+    cloud = scene.cloud
+    if cloud.ellipsoids is None:
+        return cloud.colours.double().numpy()
+    centre = se3.inverse(scene.T_camera_map)[:3, 3]
+    rays = cloud.means.double().numpy() - centre
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    harmonics = cloud.ellipsoids.harmonics.double().numpy()
+    basis = harmonic_basis(torch.from_numpy(rays), harmonics.shape[1]).numpy()
+    seen = cloud.colours.double().numpy() + np.einsum("nk,nkc->nc", basis, harmonics)
+    return np.maximum(seen, 0.0)
 
 
 def discontinuous_pixels(scene: Scene) -> NDArray[np.bool_]:
@@ -189,8 +253,11 @@ def dense_images(scene: Scene) -> NDArray[np.float64]:
 def dense_gradients(gradients: GaussianGradients, count: int) -> dict[str, Tensor]:
     """Expand the gradients to all Gaussians, zero for invisible ones."""
     out = {}
-    for name in GROUPS[:-1]:
-        compact = getattr(gradients, name)
+    groups = {name: getattr(gradients, name) for name in GROUPS[:-1]}
+    if gradients.ellipsoids is not None:
+        del groups["log_radii"]
+        groups |= {name: getattr(gradients.ellipsoids, name) for name in SHAPE_GROUPS}
+    for name, compact in groups.items():
         if compact is not None:
             out[name] = torch.zeros(count, *compact.shape[1:], dtype=compact.dtype)
             out[name][gradients.ids] = compact

@@ -17,6 +17,7 @@ from splat_scenes import (
     assert_identical,
     assert_same_gradients,
     assert_same_images,
+    ellipsoid_scene,
     exact,
     gradients_of,
     largest_value,
@@ -27,7 +28,8 @@ from splat_scenes import (
 )
 from torch import Tensor
 
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.errors import DependencyError
+from toolkit.gaussians.cloud import LOW_PASS_3DGS, PARAMETERS, GaussianCloud
 from toolkit.native.constants import MIN_TRANSMITTANCE
 from toolkit.rendering import GaussianGradients, backend
 from toolkit.rendering.backend import ForwardPass
@@ -287,3 +289,9 @@ def test_image_gradients_of_wrong_shape_raise() -> None:
 
 def test_backend_is_selected_by_name() -> None:
     assert backend("cuda").name == "cuda"
+
+
+def test_ellipsoids_are_refused() -> None:
+    scene = ellipsoid_scene(0, LOW_PASS_3DGS)
+    with pytest.raises(DependencyError, match="native"):
+        scene.draw(CudaRenderer())

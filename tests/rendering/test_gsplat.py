@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import torch
 from splat_scenes import (
     assert_same_gradients,
+    ellipsoid_scene,
     exact,
     gradients_of,
     random_scene,
@@ -18,7 +20,8 @@ from splat_scenes import (
 )
 from torch import Tensor
 
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.cloud import LOW_PASS_3DGS, PARAMETERS, GaussianCloud, LowPass
+from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.geometry.camera import Camera
 from toolkit.rendering.gsplat import GsplatBackend
 from toolkit.rendering.reference import ReferenceBackend, composite
@@ -32,13 +35,17 @@ class Rasteriser:
         means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, colors: Tensor, **rest: Any
     ) -> tuple[Tensor, Tensor, dict[str, Any]]:
         assert rest["render_mode"] == "RGB+D" and len(means) > 0
-        assert torch.equal(quats, torch.tensor([[1.0, 0, 0, 0]]).expand(len(means), 4))
         K, T = rest["Ks"][0], rest["viewmats"][0]
         # gsplat's pixel centres are at half-integers.
         cx, cy = (float(c) - 0.5 for c in K[:2, 2])
         camera = Camera(float(K[0, 0]), float(K[1, 1]), cx, cy, rest["width"], rest["height"])
         rgb, features = colors[:, :3], colors[:, 3:]
         cloud = GaussianCloud.from_values(means, scales[:, 0], opacities, rgb, features)
+        low_pass = LowPass(rest["eps2d"], rest["rasterize_mode"] == "antialiased")
+        cloud = replace(cloud, low_pass=low_pass)
+        if float((scales.amax(dim=1) - scales.amin(dim=1)).max()) > 0:
+            shapes = Ellipsoids(scales.log(), quats, scales.new_zeros(len(means), 0, 3))
+            cloud = replace(cloud, ellipsoids=shapes)
         images = composite(cloud, camera, T, features)
         drawn = torch.cat([images[:3], images[5:], images[3:4]])
         return drawn.permute(1, 2, 0)[None], images[4][None, ..., None], {}
@@ -52,6 +59,13 @@ def test_arguments_are_converted_to_conventions_of_gsplat() -> None:
     weights = scene.loss_weights()
     expected = gradients_of(exact(scene), ReferenceBackend(), weights)
     assert_same_gradients(gradients_of(scene, ours, weights), expected, tolerance=1e-3)
+
+
+@pytest.mark.parametrize("low_pass", [LOW_PASS_3DGS, LowPass(0.1, compensated=True)])
+def test_ellipsoids_are_passed_with_the_colours_of_the_view(low_pass: LowPass) -> None:
+    scene = ellipsoid_scene(5, low_pass, count=20, channels=1, size=(21, 17))
+    images = scene.draw(GsplatBackend(Rasteriser(), device="cpu"))
+    assert torch.allclose(images, reference_images(scene).float(), atol=1e-4)
 
 
 def test_regions_and_centres_are_supported() -> None:

@@ -1,34 +1,62 @@
-"""Sets of isotropic Gaussians (H-18), used for maps and parts of maps."""
+"""Sets of Gaussians, used for maps and parts of maps: spheres (H-18) or ellipsoids."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from toolkit.gaussians.ellipsoids import Ellipsoids
 
 # The tensors of a cloud, one row for each Gaussian.
 PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
 
 
 @dataclass(frozen=True)
+class LowPass:
+    """Convolution of projected Gaussians with a Gaussian, so that none is smaller than a pixel.
+
+    Attributes:
+        variance_px2: its variance in squared pixels; 0 for none.
+        compensated: reduce opacities such that the integral over the image is kept, as
+            Mip-Splatting does; otherwise the Gaussians become larger, as with 3DGS.
+    """
+
+    variance_px2: float = 0.0
+    compensated: bool = False
+
+
+NO_LOW_PASS = LowPass()
+# Of maps that were trained with 3DGS; its viewers do the same.
+LOW_PASS_3DGS = LowPass(0.3)
+
+
+@dataclass(frozen=True)
 class GaussianCloud:
-    """N isotropic Gaussians with view-independent colour and S semantic channels.
+    """N Gaussians with S semantic channels.
+
+    Unless `ellipsoids` is set, the Gaussians are isotropic and their colour does not depend on the
+    view, as tracking and mapping need them.
 
     Radius and opacity are stored as logarithm and logit, so that any real value is valid and
     optimisation is unconstrained.
 
     Attributes:
         means: [N, 3] float32, centres in the map's frame, metres.
-        log_radii: [N] float32, natural logarithm of the standard deviation in metres.
+        log_radii: [N] float32, natural logarithm of the standard deviation in metres; the mean of
+            the axes' logarithms for ellipsoids, which are rendered with their own scales.
         opacity_logits: [N] float32.
         colours: [N, 3] float32, RGB in [0, 1] (clamped only for display and export).
         features: [N, S] float32, S >= 0.
         centred_colours: how the colours were fitted. True: at the centres of the Gaussians, for
             dense tracking. False: at the pixels that show them, for rendering. See
             `rendering/texture.py`.
+        ellipsoids: axes and view-dependent colours, or None. Their colours are clamped at 0.
+        low_pass: how the projected Gaussians are filtered.
 
     Raises:
         ValueError: shapes do not match.
@@ -40,6 +68,8 @@ class GaussianCloud:
     colours: Tensor
     features: Tensor
     centred_colours: bool = field(default=False, kw_only=True)
+    ellipsoids: Ellipsoids | None = field(default=None, kw_only=True)
+    low_pass: LowPass = field(default=NO_LOW_PASS, kw_only=True)
 
     def __post_init__(self) -> None:
         n = self.means.shape[0]
@@ -54,6 +84,8 @@ class GaussianCloud:
             actual = tuple(getattr(self, name).shape)
             if actual != shape:
                 raise ValueError(f"{name} must have shape {list(shape)}, got {list(actual)}")
+        if self.ellipsoids is not None and len(self.ellipsoids) != n:
+            raise ValueError(f"ellipsoids must be {n}, got {len(self.ellipsoids)}")
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -98,32 +130,52 @@ class GaussianCloud:
 
     @classmethod
     def concatenate(cls, clouds: list[GaussianCloud]) -> GaussianCloud:
-        """Concatenate several clouds in order; colours are centred if all of them are."""
+        """Concatenate several clouds in order; colours are centred if all of them are.
+
+        With ellipsoids among them, all become ellipsoids. The first cloud decides the low-pass.
+        """
         tensors = {name: torch.cat([getattr(c, name) for c in clouds]) for name in PARAMETERS}
-        return cls(**tensors, centred_colours=all(cloud.centred_colours for cloud in clouds))
+        ellipsoids = None
+        if any(cloud.ellipsoids is not None for cloud in clouds):
+            ellipsoids = Ellipsoids.concatenate([cloud.as_ellipsoids() for cloud in clouds])
+        return cls(
+            **tensors,
+            centred_colours=all(cloud.centred_colours for cloud in clouds),
+            ellipsoids=ellipsoids,
+            low_pass=clouds[0].low_pass,
+        )
+
+    def as_ellipsoids(self) -> Ellipsoids:
+        """The shapes of all Gaussians."""
+        return self.ellipsoids or Ellipsoids.spheres(self.log_radii)
 
     def select(self, index: Tensor) -> GaussianCloud:
         """Select Gaussians by a boolean mask [N] or integer indices [M]."""
         if index.dtype == torch.bool:
             index = index.nonzero().squeeze(1)
-        return self._mapped(lambda tensor: tensor.index_select(0, index))
+        return self.mapped(lambda tensor: tensor.index_select(0, index))
 
     def transformed(self, T_new_old: np.ndarray) -> GaussianCloud:
-        """Return the cloud transformed by a rigid motion [4, 4]; radii do not change."""
+        """Return the cloud transformed by a rigid motion [4, 4]; sizes do not change."""
         R = torch.as_tensor(T_new_old[:3, :3], dtype=self.means.dtype, device=self.means.device)
         t = torch.as_tensor(T_new_old[:3, 3], dtype=self.means.dtype, device=self.means.device)
-        return replace(self, means=self.means @ R.T + t)
+        ellipsoids = self.ellipsoids
+        if ellipsoids is not None:
+            ellipsoids = ellipsoids.rotated(T_new_old[:3, :3])
+        return replace(self, means=self.means @ R.T + t, ellipsoids=ellipsoids)
 
     def to(self, device: str | torch.device) -> GaussianCloud:
         """Return the cloud on a device; the same object if it is already there."""
         if self.means.device == torch.device(device):
             return self
-        return self._mapped(lambda tensor: tensor.to(device))
+        return self.mapped(lambda tensor: tensor.to(device))
 
     def detached(self) -> GaussianCloud:
         """Return the cloud detached from the autograd graph."""
-        return self._mapped(torch.Tensor.detach)
+        return self.mapped(torch.Tensor.detach)
 
-    def _mapped(self, function: Callable[[Tensor], Tensor]) -> GaussianCloud:
-        tensors = (function(getattr(self, name)) for name in PARAMETERS)
-        return GaussianCloud(*tensors, centred_colours=self.centred_colours)
+    def mapped(self, function: Callable[[Tensor], Tensor]) -> GaussianCloud:
+        """Apply a function of rows to all tensors."""
+        tensors: dict[str, Any] = {name: function(getattr(self, name)) for name in PARAMETERS}
+        ellipsoids = self.ellipsoids and self.ellipsoids.mapped(function)
+        return replace(self, **tensors, ellipsoids=ellipsoids)

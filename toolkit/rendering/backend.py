@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import TILE
 
@@ -24,6 +26,7 @@ class GaussianGradients:
         colours: [V, 3], or None if not requested.
         features: [V, S].
         T_camera_map: [3, 4] float64, derivative with respect to each matrix entry.
+        ellipsoids: of axes and harmonics, None for spheres; the log radii of ellipsoids have none.
     """
 
     ids: Tensor
@@ -33,6 +36,20 @@ class GaussianGradients:
     colours: Tensor | None
     features: Tensor
     T_camera_map: Tensor
+    ellipsoids: Ellipsoids | None = None
+
+    def to(self, device: torch.device) -> GaussianGradients:
+        """Return the gradients on a device."""
+        return GaussianGradients(
+            self.ids.to(device),
+            self.means.to(device),
+            self.log_radii.to(device),
+            self.opacity_logits.to(device),
+            None if self.colours is None else self.colours.to(device),
+            self.features.to(device),
+            self.T_camera_map.to(device),
+            self.ellipsoids and self.ellipsoids.mapped(lambda tensor: tensor.to(device)),
+        )
 
 
 class ForwardPass(Protocol):

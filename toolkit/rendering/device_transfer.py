@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -31,8 +28,4 @@ class TransferredForwardPass:
         gradients = self._forward_pass.backward(
             image_gradients.to(render_device), colours, detached
         )
-        parts: dict[str, Any] = {f.name: getattr(gradients, f.name) for f in fields(gradients)}
-        copies: dict[str, Any] = {
-            name: None if part is None else part.to(self._device) for name, part in parts.items()
-        }
-        return GaussianGradients(**copies)
+        return gradients.to(self._device)

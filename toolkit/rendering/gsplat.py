@@ -21,7 +21,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.native.constants import BASE_CHANNELS, NEAR_M
 from toolkit.rendering.backend import ForwardPass, pixels_of_region
 from toolkit.rendering.device_transfer import TransferredForwardPass
-from toolkit.rendering.reference import forward_by_autograd
+from toolkit.rendering.reference import forward_by_autograd, seen_colours
 
 _FAR_M = 1e10
 
@@ -88,28 +88,28 @@ class GsplatBackend:
         self, cloud: GaussianCloud, camera: Camera, T_camera_map: Tensor, extra: Tensor
     ) -> Tensor:
         """Render images [5 + S, H, W] of colours and additional channels [N, S]."""
-        count, device = len(cloud), cloud.means.device
-        if count == 0:
+        if len(cloud) == 0:
             return cloud.means.new_zeros(
                 BASE_CHANNELS + extra.shape[1], camera.height, camera.width
             )
-        upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).expand(count, 4)
+        shapes, low_pass = cloud.as_ellipsoids(), cloud.low_pass
         last = T_camera_map.new_tensor([[0.0, 0.0, 0.0, 1.0]])
         K = torch.from_numpy(camera.matrix).to(cloud.means)
         K[:2, 2] += 0.5
         rendered, alphas, _ = self._package.rasterization(
             means=cloud.means,
-            quats=upright.contiguous(),
-            scales=cloud.radii_m[:, None].expand(count, 3).contiguous(),
+            quats=shapes.rotations,
+            scales=shapes.log_scales.exp(),
             opacities=cloud.opacities,
-            colors=torch.cat([cloud.colours, extra], dim=1),
+            colors=torch.cat([seen_colours(cloud, T_camera_map), extra], dim=1),
             viewmats=torch.cat([T_camera_map, last])[None],
             Ks=K[None],
             width=camera.width,
             height=camera.height,
             near_plane=NEAR_M,
             far_plane=_FAR_M,
-            eps2d=0.0,  # the default adds 0.3 square pixels to every projected covariance
+            eps2d=low_pass.variance_px2,
+            rasterize_mode="antialiased" if low_pass.compensated else "classic",
             render_mode="RGB+D",
         )
         planes = rendered[0].permute(2, 0, 1)  # colours, additional channels, depth sum

@@ -10,11 +10,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import GaussianCloud, LowPass
+from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.geometry.camera import Camera
 from toolkit.native import address, require_kernels
 from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering.backend import GaussianGradients
+
+# Arrays of a map that the kernels receive: five of spheres, three more of ellipsoids.
+_ARRAYS = 8
 
 
 def _contiguous(tensor: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -30,6 +34,7 @@ class NativeForwardPass:
         self._module, self._arrays, self._region = module, arrays, region
         self._idle = idle
         self._channels = BASE_CHANNELS + arrays[4].shape[1]
+        self._harmonics = arrays[7].shape[1] if len(arrays) > 5 else 0
         self._state = idle.pop() if idle else module.Rasterisation()
         self.images = torch.empty(0)
 
@@ -38,10 +43,15 @@ class NativeForwardPass:
         self._idle.append(self._state)
 
     @property
-    def _map(self) -> tuple[int, list[int], int]:
-        return len(self._arrays[0]), [address(a) for a in self._arrays], self._arrays[4].shape[1]
+    def _map(self) -> tuple[list[int], list[int]]:
+        """Numbers of Gaussians, feature channels and harmonics; addresses of the arrays."""
+        addresses = [address(array) for array in self._arrays]
+        counts = [len(self._arrays[0]), self._arrays[4].shape[1], self._harmonics]
+        return counts, addresses + [0] * (_ARRAYS - len(addresses))
 
-    def render(self, camera: Camera, T_camera_map: NDArray[np.float64], centres: bool) -> None:
+    def render(
+        self, camera: Camera, T_camera_map: NDArray[np.float64], low_pass: LowPass, centres: bool
+    ) -> None:
         """Render into `images`."""
         # Tiles outside a region are not written and must be initialised with zero.
         create = torch.empty if self._region is None else torch.zeros
@@ -53,6 +63,7 @@ class NativeForwardPass:
             (camera.fx, camera.fy, camera.cx, camera.cy),
             camera.size,
             np.asarray(T_camera_map, dtype=np.float64)[:3].reshape(-1).tolist(),
+            (low_pass.variance_px2, low_pass.compensated),
             address(self._region),
             centres,
             address(self.images),
@@ -73,14 +84,16 @@ class NativeForwardPass:
             )
         if without_features:
             self._arrays[4] = self._arrays[4].new_zeros(len(self._arrays[4]), 0)
+        shapes = self._empty_ellipsoids(n)
         result = GaussianGradients(
             ids=torch.empty(n, dtype=torch.int64),
             means=torch.empty(n, 3),
-            log_radii=torch.empty(n),
+            log_radii=torch.zeros(n) if shapes else torch.empty(n),
             opacity_logits=torch.empty(n),
             colours=torch.empty(n, 3) if colours else None,
             features=torch.empty(n, self._arrays[4].shape[1]),
             T_camera_map=torch.empty(3, 4, dtype=torch.float64),
+            ellipsoids=shapes,
         )
         self._module.copy_visible(self._state, address(result.ids))
         sinks = (
@@ -89,6 +102,7 @@ class NativeForwardPass:
             result.opacity_logits,
             result.colours,
             result.features,
+            *((shapes.log_scales, shapes.rotations, shapes.harmonics) if shapes else (None,) * 3),
             result.T_camera_map,
         )
         self._module.backward(
@@ -100,6 +114,13 @@ class NativeForwardPass:
             [address(t) for t in sinks],
         )
         return result
+
+    def _empty_ellipsoids(self, count: int) -> Ellipsoids | None:
+        if len(self._arrays) == 5:
+            return None
+        return Ellipsoids(
+            torch.empty(count, 3), torch.empty(count, 4), torch.empty(count, self._harmonics, 3)
+        )
 
 
 class NativeRenderer:
@@ -134,7 +155,10 @@ class NativeRenderer:
                 features if features is not None else gaussians.means.new_zeros(len(gaussians), 0)
             ),
         ]
+        if gaussians.ellipsoids is not None:
+            shapes = gaussians.ellipsoids
+            arrays += map(_contiguous, (shapes.log_scales, shapes.rotations, shapes.harmonics))
         region = None if region is None else _contiguous(region, torch.uint8)
         forward_pass = NativeForwardPass(self._module, self._idle, arrays, region)
-        forward_pass.render(camera, T_camera_map, centres)
+        forward_pass.render(camera, T_camera_map, gaussians.low_pass, centres)
         return forward_pass

@@ -13,9 +13,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.ellipsoids import Ellipsoids, harmonic_basis, rotation_matrices
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, NEAR_M, TILE
 from toolkit.rendering.backend import GaussianGradients, tile_counts
+
+# The Jacobian of ellipsoids is evaluated at most this far from the image's centre, in half sizes.
+_MAX_SLOPE = 1.3
 
 
 def composite(
@@ -26,6 +30,8 @@ def composite(
     region: Tensor | None = None,
 ) -> Tensor:
     """Render images [5 + S, H, W] of the Gaussians (H-19, H-20, G-1), differentiable in all inputs.
+
+    Ellipsoids are rendered as by 3DGS (Kerbl et al. 2023), with pixel centres at integers.
 
     Args:
         T_camera_map: [3, 4] or [4, 4] tensor of the cloud's dtype, may require gradients.
@@ -38,17 +44,20 @@ def composite(
     visible = ((points[:, 2] > NEAR_M) & finite[:, 0]).nonzero().squeeze(1)
     # Front to back; Gaussians of equal depth keep their order in the map.
     order = visible[torch.sort(points[visible, 2].detach(), stable=True).indices]
-    x, y, z = points[order].unbind(1)
+    cloud, points = gaussians.select(order), points[order]
+    x, y, z = points.unbind(1)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    sigma = camera.focal * gaussians.log_radii[order].exp() / z
-    opacity = gaussians.opacity_logits[order].sigmoid()
-    values = [gaussians.colours[order], z[:, None], torch.ones_like(z)[:, None]]
+    footprint, gain = _footprint(cloud, camera, points, T_camera_map[:3, :3])
+    opacity = cloud.opacity_logits.sigmoid() * gain
+    values = [seen_colours(cloud, T_camera_map), z[:, None], torch.ones_like(z)[:, None]]
     if features is not None:
         values.append(features[order])
     value = torch.cat(values, dim=1)
 
     with torch.no_grad():
-        reach = sigma * (2.0 * torch.log((opacity / MIN_ALPHA).clamp(min=1.0))).sqrt() + 1e-3
+        support = (2.0 * torch.log((opacity / MIN_ALPHA).clamp(min=1.0))).sqrt()
+        across, down = (support * footprint[:, k, k].sqrt() + 1e-3 for k in range(2))
+    conic = torch.linalg.inv(footprint)
     rows, columns = tile_counts(camera)
     strips = []
     for row in range(rows):
@@ -57,8 +66,8 @@ def composite(
             left, top = column * TILE, row * TILE
             right = min(left + TILE, camera.width)
             bottom = min(top + TILE, camera.height)
-            near = (u + reach >= left) & (u - reach <= right - 1)
-            near &= (v + reach >= top) & (v - reach <= bottom - 1)
+            near = (u + across >= left) & (u - across <= right - 1)
+            near &= (v + down >= top) & (v - down <= bottom - 1)
             if region is not None and not region[row, column]:
                 near = torch.zeros_like(near)
             inside = near.nonzero().squeeze(1)
@@ -67,18 +76,72 @@ def composite(
                 torch.arange(left, right, dtype=u.dtype, device=u.device),
                 indexing="ij",
             )
-            weights = _weights(gridded, u[inside], v[inside], sigma[inside], opacity[inside])
+            weights = _weights(gridded, u[inside], v[inside], conic[inside], opacity[inside])
             tiles.append(torch.einsum("nyx,nc->cyx", weights, value[inside]))
         strips.append(torch.cat(tiles, dim=2))
     return torch.cat(strips, dim=1)
 
 
+def _footprint(
+    cloud: GaussianCloud, camera: Camera, points: Tensor, R_camera_map: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return covariances [n, 2, 2] in squared pixels, and factors [n] of the opacities.
+
+    A sphere remains round; an ellipsoid is projected by the Jacobian at its centre, which is
+    evaluated near the image at most, as in 3DGS.
+    """
+    identity = torch.eye(2, dtype=points.dtype, device=points.device)
+    z = points[:, 2]
+    if cloud.ellipsoids is None:
+        sigma = camera.focal * cloud.log_radii.exp() / z
+        bare = sigma[:, None, None] ** 2 * identity
+    else:
+        x, y = (points[:, k] / z for k in range(2))
+        x = _limited(x, camera.fx, camera.cx, camera.width)
+        y = _limited(y, camera.fy, camera.cy, camera.height)
+        zero = torch.zeros_like(z)
+        J = torch.stack(
+            [
+                torch.stack([camera.fx / z, zero, -camera.fx * x / z], dim=1),
+                torch.stack([zero, camera.fy / z, -camera.fy * y / z], dim=1),
+            ],
+            dim=1,
+        )
+        shapes = cloud.ellipsoids
+        axes = rotation_matrices(shapes.rotations) * shapes.log_scales.exp()[:, None]
+        M = J @ R_camera_map @ axes
+        bare = M @ M.transpose(1, 2)
+    if cloud.low_pass.variance_px2 == 0:
+        return bare, torch.ones_like(z)
+    filtered = bare + cloud.low_pass.variance_px2 * identity
+    if not cloud.low_pass.compensated:
+        return filtered, torch.ones_like(z)
+    return filtered, (torch.linalg.det(bare).clamp(min=0) / torch.linalg.det(filtered)).sqrt()
+
+
+def _limited(slope: Tensor, focal: float, centre: float, size: int) -> Tensor:
+    half, middle = 0.5 * _MAX_SLOPE * size / focal, (0.5 * (size - 1) - centre) / focal
+    return slope.clamp(middle - half, middle + half)
+
+
+def seen_colours(cloud: GaussianCloud, T_camera_map: Tensor) -> Tensor:
+    """Return colours [n, 3] as seen from a camera."""
+    if cloud.ellipsoids is None:
+        return cloud.colours
+    centre = -T_camera_map[:3, :3].T @ T_camera_map[:3, 3]
+    directions = torch.nn.functional.normalize(cloud.means - centre, dim=1)
+    harmonics = cloud.ellipsoids.harmonics
+    basis = harmonic_basis(directions, harmonics.shape[1])
+    return (cloud.colours + torch.einsum("nk,nkc->nc", basis, harmonics)).clamp(min=0)
+
+
 def _weights(
-    grid: tuple[Tensor, ...], u: Tensor, v: Tensor, sigma: Tensor, opacity: Tensor
+    grid: tuple[Tensor, ...], u: Tensor, v: Tensor, conic: Tensor, opacity: Tensor
 ) -> Tensor:
     """Return the compositing weights [n, y, x]: alpha times accumulated transmittance."""
-    squared = (grid[1] - u[:, None, None]) ** 2 + (grid[0] - v[:, None, None]) ** 2
-    alpha = opacity[:, None, None] * torch.exp(-0.5 * squared / sigma[:, None, None] ** 2)
+    dx, dy = grid[1] - u[:, None, None], grid[0] - v[:, None, None]
+    A, B, C = (conic[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    alpha = opacity[:, None, None] * torch.exp(-0.5 * (A * dx**2 + C * dy**2) - B * dx * dy)
     alpha = torch.where(alpha >= MIN_ALPHA, alpha.clamp(max=MAX_ALPHA), torch.zeros_like(alpha))
     passed = torch.cumprod(1.0 - alpha, dim=0)
     passed = torch.cat([torch.ones_like(passed[:1]), passed[:-1]])
@@ -89,18 +152,9 @@ def as_leaves(
     gaussians: GaussianCloud, features: Tensor, T_camera_map: NDArray[np.float64]
 ) -> tuple[GaussianCloud, Tensor, Tensor]:
     """Return cloud, features and pose [3, 4] as leaves of a new graph, on one device."""
-    leaves = (
-        t.detach().requires_grad_()
-        for t in (
-            gaussians.means,
-            gaussians.log_radii,
-            gaussians.opacity_logits,
-            gaussians.colours,
-            gaussians.features,
-        )
-    )
     T = torch.as_tensor(T_camera_map[:3]).to(gaussians.means).requires_grad_()
-    return GaussianCloud(*leaves), features.detach().requires_grad_(), T
+    cloud = gaussians.detached().mapped(torch.Tensor.requires_grad_)
+    return cloud, features.detach().requires_grad_(), T
 
 
 class ReferenceForwardPass:
@@ -120,6 +174,9 @@ class ReferenceForwardPass:
         cloud = self._cloud
         inputs = [cloud.means, cloud.log_radii, cloud.opacity_logits, cloud.colours]
         inputs += [self._features, self._T]
+        shapes = cloud.ellipsoids
+        if shapes is not None:
+            inputs += [shapes.log_scales, shapes.rotations, shapes.harmonics]
         with torch.enable_grad():  # autograd calls backward with gradient recording disabled
             images = self._images[: len(image_gradients)]  # only 5 channels without features
             base = images[:BASE_CHANNELS]
@@ -134,6 +191,7 @@ class ReferenceForwardPass:
             colours=full[3] if colours else None,
             features=full[4],
             T_camera_map=full[5].to(torch.float64),
+            ellipsoids=Ellipsoids(*full[6:]) if shapes is not None else None,
         )
 
     @staticmethod

@@ -13,7 +13,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from toolkit.errors import DependencyError, SettingsError
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import GaussianCloud, LowPass
+from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.geometry.camera import Camera
 from toolkit.native import kernels
 from toolkit.rendering.backend import Backend, ForwardPass, tile_counts
@@ -153,16 +154,19 @@ def render(
     chosen = backend(backend_name)
     if features is None:
         features = gaussians.means.new_zeros(len(gaussians), 0)
+    shapes = gaussians.ellipsoids
     images = _Render.apply(
         chosen,
         camera,
         region,
+        gaussians.low_pass,
         torch.as_tensor(T_camera_map),
         gaussians.means,
         gaussians.log_radii,
         gaussians.opacity_logits,
         gaussians.colours,
         features,
+        *((shapes.log_scales, shapes.rotations, shapes.harmonics) if shapes else ()),
     )
     return RenderOutput(images)
 
@@ -195,18 +199,25 @@ class _Render(torch.autograd.Function):
         chosen: Backend,
         camera: Camera,
         region: Tensor | None,
+        low_pass: LowPass,
         T_camera_map: Tensor,
         means: Tensor,
         log_radii: Tensor,
         opacity_logits: Tensor,
         colours: Tensor,
         features: Tensor,
+        *shapes: Tensor,
     ) -> Tensor:
-        cloud = GaussianCloud(means, log_radii, opacity_logits, colours, features)
+        ellipsoids = Ellipsoids(*shapes) if shapes else None
+        cloud = GaussianCloud(
+            *(means, log_radii, opacity_logits, colours, features),
+            ellipsoids=ellipsoids,
+            low_pass=low_pass,
+        )
         pose = T_camera_map.detach().to(torch.float64).cpu().numpy()
         ctx.forward_pass = chosen.forward(cloud, camera, pose, features, region)
         ctx.pose_type = T_camera_map
-        ctx.parameters = (means, log_radii, opacity_logits, colours, features)
+        ctx.parameters = (means, log_radii, opacity_logits, colours, features, *shapes)
         # Detached, because the returned tensor references ctx: a reference cycle would keep the
         # view in memory.
         return ctx.forward_pass.images.detach()
@@ -215,16 +226,18 @@ class _Render(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, image_gradients: Tensor) -> tuple[Tensor | None, ...]:
         needed = ctx.needs_input_grad
-        compact = ctx.forward_pass.backward(image_gradients, colours=needed[7])
+        compact = ctx.forward_pass.backward(image_gradients, colours=needed[8])
+        shapes = compact.ellipsoids
         parts = (
             compact.means,
             compact.log_radii,
             compact.opacity_logits,
             compact.colours,
             compact.features,
+            *((shapes.log_scales, shapes.rotations, shapes.harmonics) if shapes else ()),
         )
         dense: list[Tensor | None] = []
-        for parameter, part, need in zip(ctx.parameters, parts, needed[4:], strict=True):
+        for parameter, part, need in zip(ctx.parameters, parts, needed[5:], strict=True):
             if not need or part is None:
                 dense.append(None)
                 continue
@@ -232,7 +245,7 @@ class _Render(torch.autograd.Function):
             gradient[compact.ids] = part.to(gradient)
             dense.append(gradient)
         pose = None
-        if needed[3]:
+        if needed[4]:
             pose = torch.zeros_like(ctx.pose_type)
             pose[:3] = compact.T_camera_map.to(pose)
-        return (None, None, None, pose, *dense)
+        return (None, None, None, None, pose, *dense)

@@ -169,7 +169,7 @@ class Submap:
             number=int(values["number"]),
             T_world_submap=np.array(arrays["T_world_submap"]),
             gaussians=GaussianCloud(
-                **{n: tensor(f"gaussians/{n}") for n in PARAMETERS},
+                *(tensor(f"gaussians/{n}") for n in PARAMETERS),
                 centred_colours=bool(values["centred_colours"]),
             ),
             keyframes=keyframes,

@@ -12,7 +12,8 @@ import triton
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.errors import DependencyError
+from toolkit.gaussians.cloud import NO_LOW_PASS, GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering.backend import ForwardPass, GaussianGradients
@@ -287,7 +288,15 @@ class CudaRenderer:
         region: Tensor | None,
         centres: bool = False,
     ) -> ForwardPass:
-        """See Backend.forward."""
+        """See Backend.forward.
+
+        Raises:
+            DependencyError: the Gaussians are ellipsoids, or have a low-pass.
+        """
+        if gaussians.ellipsoids is not None or gaussians.low_pass != NO_LOW_PASS:
+            raise DependencyError(
+                "the cuda backend renders unfiltered spheres only; use --backend native or gsplat"
+            )
         home = gaussians.means.device
         device = home if home.type == "cuda" or interpreted() else torch.device("cuda")
         if features is None:

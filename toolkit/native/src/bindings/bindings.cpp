@@ -43,15 +43,23 @@ T* at(Address a) {
     return reinterpret_cast<T*>(a);
 }
 
-Gaussians gaussians_at(int64_t count, const std::array<Address, 5>& arrays, int feature_channels,
-                       bool centres) {
-    return {count,
+// Means, log radii, opacity logits, colours, features; for ellipsoids also log scales, rotations and
+// harmonics, otherwise 0.
+typedef std::array<Address, 8> MapArrays;
+
+// counts: Gaussians, feature channels and harmonics.
+Gaussians gaussians_at(const std::array<int64_t, 3>& counts, const MapArrays& arrays, bool centres) {
+    return {counts[0],
             at<const float>(arrays[0]),
             at<const float>(arrays[1]),
             at<const float>(arrays[2]),
             at<const float>(arrays[3]),
             at<const float>(arrays[4]),
-            feature_channels,
+            at<const float>(arrays[5]),
+            at<const float>(arrays[6]),
+            at<const float>(arrays[7]),
+            (int)counts[1],
+            (int)counts[2],
             centres};
 }
 
@@ -64,11 +72,14 @@ Pinhole pinhole(const Intrinsics& intrinsics, const Size& size) {
 }
 
 // Projects, bins and composites; `state` is the input of backward.
-void forward(Rasterisation& state, int64_t count, const std::array<Address, 5>& arrays, int feature_channels,
-             const Intrinsics& intrinsics, const Size& size,
-             const std::array<double, 12>& T_camera_map, Address region, bool centres, Address images) {
-    const Gaussians map = gaussians_at(count, arrays, feature_channels, centres);
+// low_pass: variance in squared pixels, and whether the opacity is compensated.
+void forward(Rasterisation& state, const std::array<int64_t, 3>& counts, const MapArrays& arrays,
+             const Intrinsics& intrinsics, const Size& size, const std::array<double, 12>& T_camera_map,
+             const std::tuple<double, bool>& low_pass, Address region, bool centres, Address images) {
+    const Gaussians map = gaussians_at(counts, arrays, centres);
     state.camera = pinhole(intrinsics, size);
+    state.low_pass = {(float)std::get<0>(low_pass), std::get<1>(low_pass)};
+    state.shape = map.shape();
     for (int row = 0; row < 3; ++row) {
         for (int k = 0; k < 3; ++k) state.R[3 * row + k] = (float)T_camera_map[4 * row + k];
         state.t[row] = (float)T_camera_map[4 * row + 3];
@@ -81,13 +92,13 @@ void forward(Rasterisation& state, int64_t count, const std::array<Address, 5>& 
     composite(map, at<const uint8_t>(region), state, at<float>(images));
 }
 
-// sinks: gradients of means, log radii, opacity logits, colours (or 0), features, T_camera_map (float64).
-void backward(const Rasterisation& state, int64_t count, const std::array<Address, 5>& arrays,
-              int feature_channels, Address region, Address image_gradients, bool detached,
-              const std::array<Address, 6>& sinks) {
-    const Gaussians map = gaussians_at(count, arrays, feature_channels, false);
+// sinks: gradients of the arrays, those of the colours may be 0, and of T_camera_map (float64).
+void backward(const Rasterisation& state, const std::array<int64_t, 3>& counts, const MapArrays& arrays,
+              Address region, Address image_gradients, bool detached, const std::array<Address, 9>& sinks) {
+    const Gaussians map = gaussians_at(counts, arrays, false);
     const GradientSinks out = {at<float>(sinks[0]), at<float>(sinks[1]), at<float>(sinks[2]),
-                               at<float>(sinks[3]), at<float>(sinks[4]), at<double>(sinks[5])};
+                               at<float>(sinks[3]), at<float>(sinks[4]), at<float>(sinks[5]),
+                               at<float>(sinks[6]), at<float>(sinks[7]), at<double>(sinks[8])};
     const py::gil_scoped_release release;
     differentiate(map, at<const uint8_t>(region), state, at<const float>(image_gradients), detached, out);
 }

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include "rendering/ellipsoids.hpp"
 #include "rendering/tile.hpp"
 
 namespace semsplat {
@@ -23,9 +24,7 @@ enum { GROUP = 4, PLANAR = 2 * GROUP };
 enum { MAX_FUSED = LANES == 16 ? 8 : 2, MAX_SWEPT = LANES == 16 ? 12 : 7 };
 // Whether loading alpha and its derived values again is faster than computing them again.
 constexpr bool KEEP_ALPHA = LANES < 16;
-enum { SUMS = 8, POSE_CHUNK = 4096 };
-// Sums of one pair: e = alpha dL/dalpha, its moments, and the gradients of the first group.
-enum { E, E_DX, E_DY, E_SQUARE, GRAD_R, GRAD_G, GRAD_B, GRAD_Z };
+enum { POSE_CHUNK = 4096 };
 
 // Propagation of the feature channels' gradients: none, to the features, or to all parameters.
 enum class Features { NONE, ALONE, MOVE };
@@ -50,8 +49,9 @@ struct BackwardScratch {
 SEMSPLAT_INLINE int groups_of(int features) { return 1 + (features + GROUP - 1) / GROUP; }
 
 // Alpha of an entry at the pixels of one part of a block: zero below MIN_ALPHA, at most MAX_ALPHA.
+template <Shape SHAPE>
 SEMSPLAT_INLINE Floats alpha_of(const TileEntry& e, int block, int part) {
-    const Floats raw = gaussian_of(e, block, part);
+    const Floats raw = gaussian_of<SHAPE>(e, block, part);
     return keep(ge(raw, all(MIN_ALPHA)), minimum(raw, all(MAX_ALPHA)));
 }
 
@@ -175,17 +175,32 @@ void sweep_all_features(BackwardScratch& scratch, uint32_t blocks, int S, float*
     });
 }
 
-// Processes all blocks of one pair: back-to-front state in `scratch`, sums in `out` (SUMS floats).
+// Adds the moments of `grad` at the pixels of one part of a block.
+SEMSPLAT_INLINE void add_ellipsoid_moments(const TileEntry& e, int block, int part, Floats grad, Floats* moments,
+                                           Floats* mixed) {
+    Floats s, t;
+    whitened(e, block, part, s, t);
+    const Floats gs = grad * s, gt = grad * t;
+    moments[E] = moments[E] + grad;
+    moments[E_S] = moments[E_S] + gs;
+    moments[E_T] = moments[E_T] + gt;
+    moments[E_S_S] = fma(gs, s, moments[E_S_S]);
+    mixed[E_S_T] = fma(gs, t, mixed[E_S_T]);
+    mixed[E_T_T] = fma(gt, t, mixed[E_T_T]);
+}
+
+// Processes all blocks of one pair: back-to-front state in `scratch`, sums in `out` (see ellipsoids.hpp).
 // FUSED is the number of groups done in one pass: all of them, or the first if the features have passes
 // of their own.
-template <Features FEATURES, int FUSED>
+template <Shape SHAPE, Features FEATURES, int FUSED>
 SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntry& e, uint32_t blocks,
                                         const float* f, int S, float* out, float* d_features) {
     if (!blocks) {
-        std::fill_n(out, (int)SUMS, 0.0f);
+        std::fill_n(out, sums_of(SHAPE), 0.0f);
         if (FEATURES != Features::NONE) std::fill_n(d_features, S, 0.0f);
         return;
     }
+    constexpr bool SPHERE = SHAPE == Shape::SPHERE;
     constexpr bool MOVE = FEATURES == Features::MOVE, SEPARATE = FEATURES != Features::NONE && FUSED == 1;
     const float* values = &e.r;
     if (FEATURES != Features::NONE) {
@@ -197,7 +212,7 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
             const int block = __builtin_ctz(m);
             for (int part = 0; part < PARTS; ++part) {
                 const int at = LANES * part;
-                const Floats alpha = alpha_of(e, block, part), inverse = reciprocal(all(1.0f) - alpha);
+                const Floats alpha = alpha_of<SHAPE>(e, block, part), inverse = reciprocal(all(1.0f) - alpha);
                 if (KEEP_ALPHA) {
                     store(scratch.alpha[block] + at, alpha);
                     store(scratch.inverse[block] + at, inverse);
@@ -210,8 +225,9 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
     // The operations on the first group do not depend on the features unless they move the Gaussians.
     constexpr bool FEW = FUSED <= 2;
     constexpr int OTHERS = FUSED - 1, CHAINS = FEW ? 2 : 1;
-    Floats moments[GROUP], first_sums[2], sums[OTHERS * CHAINS + 1];
+    Floats moments[GROUP], mixed[GROUP], first_sums[2], sums[OTHERS * CHAINS + 1];
     for (Floats& a : moments) a = all(0.0f);
+    for (Floats& a : mixed) a = all(0.0f);
     for (Floats& a : first_sums) a = all(0.0f);
     for (Floats& a : sums) a = all(0.0f);
     for (uint32_t m = blocks; m; m &= m - 1) {
@@ -222,7 +238,7 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
             float *const T_at = scratch.T[block] + at, *const behind_at = scratch.behind[block] + at;
             Floats alpha, inverse;
             if (!KEEP_ALPHA || !SEPARATE) {
-                alpha = alpha_of(e, block, part);
+                alpha = alpha_of<SHAPE>(e, block, part);
                 inverse = reciprocal(all(1.0f) - alpha);
             } else {
                 alpha = load(scratch.alpha[block] + at);
@@ -241,18 +257,24 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
             const Floats grad = keep(lt(alpha, all(MAX_ALPHA)), fnma(behind, inverse, T * dot) * alpha);
             store(behind_at, fma(w, dot, behind));
             store(T_at, T);
+            if (!SPHERE) {
+                add_ellipsoid_moments(e, block, part, grad, moments, mixed);
+                continue;
+            }
             const Floats dy = load_rows(COUNTING + block_row(block) + LANES / 4 * part) - all(e.v);
             const Floats gy = grad * dy;
             column_sums = column_sums + grad;
             moments[E_DY] = moments[E_DY] + gy;
             moments[E_SQUARE] = fma(gy, dy, moments[E_SQUARE]);
         }
+        if (!SPHERE) continue;
         const Floats dx = load_columns(COUNTING + block_column(block)) - all(e.u), gx = column_sums * dx;
         moments[E] = moments[E] + column_sums;
         moments[E_DX] = moments[E_DX] + gx;
         moments[E_SQUARE] = fma(gx, dx, moments[E_SQUARE]);
     }
     sum_quads(sums_of_quads(moments), out + E);
+    if (!SPHERE) sum_quads(sums_of_quads(mixed), out + MIXED);
     sum_quads(first_sums[0] + first_sums[1], out + GRAD_R);
     for (int g = 0; g < OTHERS; ++g) {
         store_group(CHAINS == 2 ? sums[2 * g] + sums[2 * g + 1] : sums[g], GROUP * g, S, d_features);
@@ -261,17 +283,18 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
 
 // Storage of the sums of pairs: a splat on a single tile has one row, others have a row per tile.
 struct PairSums {
-    Buffer<float> own, shared;                    // [V, SUMS], [slots, SUMS]
+    int count;                                    // sums per pair
+    Buffer<float> own, shared;                    // [V, count], [slots, count]
     Buffer<float> shared_features;                // [slots, S]
     float* row(int splat, int slot) {
-        return slot < 0 ? own.data() + (size_t)splat * SUMS : shared.data() + (size_t)slot * SUMS;
+        return slot < 0 ? own.data() + (size_t)splat * count : shared.data() + (size_t)slot * count;
     }
     float* feature_row(float* direct, int splat, int slot, int S) {
         return slot < 0 ? direct + (size_t)splat * S : shared_features.data() + (size_t)slot * S;
     }
 };
 
-template <Features FEATURES, int FUSED>
+template <Shape SHAPE, Features FEATURES, int FUSED>
 void differentiate_tile(const Gaussians& map, const Rasterisation& state, int tile, BackwardScratch& scratch,
                         PairSums& sums, float* d_features) {
     const int left = tile % state.tiles_x * TILE, top = tile / state.tiles_x * TILE;
@@ -282,7 +305,7 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
     // Rows of pairs that were not composited must be zero.
     for (int k = last; k < count; ++k) {
         const int splat = state.pair_splat[begin + k], slot = state.pair_slot[begin + k];
-        std::fill_n(sums.row(splat, slot), (int)SUMS, 0.0f);
+        std::fill_n(sums.row(splat, slot), sums_of(SHAPE), 0.0f);
         if (FEATURES != Features::NONE) std::fill_n(sums.feature_row(d_features, splat, slot, S), S, 0.0f);
     }
     uint32_t open = 0;  // mask of blocks whose last pair was reached
@@ -291,7 +314,7 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
         for (int j = 0; j < end - start; ++j) {
             if (j + PREFETCHED < end - start) __builtin_prefetch(&state.splats[state.pair_splat[begin + start + j + PREFETCHED]]);
             const int splat = state.pair_splat[begin + start + j];
-            prepare(state.splats[splat], (float)left, (float)top, scratch.entries[j]);
+            prepare<SHAPE>(state.splats[splat], (float)left, (float)top, scratch.entries[j]);
             scratch.entries[j].splat = splat;
             scratch.entries[j].slot = state.pair_slot[begin + start + j];
         }
@@ -302,20 +325,20 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
             }
             const TileEntry& e = scratch.entries[k - start];
             float* fg = FEATURES != Features::NONE ? sums.feature_row(d_features, e.splat, e.slot, S) : nullptr;
-            differentiate_pair<FEATURES, FUSED>(scratch, e, e.blocks & open,
-                                                fg ? map.features + (size_t)e.id * S : nullptr, S,
-                                                 sums.row(e.splat, e.slot), fg);
+            differentiate_pair<SHAPE, FEATURES, FUSED>(scratch, e, e.blocks & open,
+                                                       fg ? map.features + (size_t)e.id * S : nullptr, S,
+                                                       sums.row(e.splat, e.slot), fg);
         }
         end = start;
     }
 }
 
-// Chain rule from the sums of one splat to its parameters; adds its contribution to the pose.
-void finish_splat(const Gaussians& map, const Rasterisation& state, int64_t i, const float* s,
-                  const GradientSinks& out, double* pose) {
+// See ellipsoids.hpp.
+void differentiate_sphere(const Gaussians& map, const Rasterisation& state, int64_t i, const float* s,
+                          const GradientSinks& out, double* pose) {
     const Splat& p = state.splats[i];
     const Pinhole& cam = state.camera;
-    const float inverse_z = 1.0f / p.z, inverse_variance = -2.0f * p.exponent;
+    const float inverse_z = 1.0f / p.z, inverse_variance = -2.0f * p.shape_a;
     const float gu = s[E_DX] * inverse_variance, gv = s[E_DY] * inverse_variance;
     const float g_log_sigma = s[E_SQUARE] * inverse_variance;
     const float x = (p.u - cam.cx) / cam.fx, y = (p.v - cam.cy) / cam.fy;  // X / Z, Y / Z
@@ -334,28 +357,52 @@ void finish_splat(const Gaussians& map, const Rasterisation& state, int64_t i, c
     }
 }
 
+// The part of a filtered sphere's variance that is its own.
+inline float own_part(const Rasterisation& state, int64_t i) {
+    return 1.0f + 2.0f * state.low_pass.variance * state.splats[i].shape_a;
+}
+
+// Replaces the derivative by the filtered variance sigma^2 + v by that by sigma^2. A compensated opacity
+// is scaled by the ratio of the two.
+inline void unfilter(const Rasterisation& state, int64_t i, float* s) {
+    const float part = own_part(state, i);
+    s[E_SQUARE] *= part;
+    if (state.low_pass.compensated) s[E_SQUARE] -= s[E] * (1.0f - part) / state.splats[i].shape_a;
+}
+
+template <Shape SHAPE>
 void finish(const Gaussians& map, const Rasterisation& state, const PairSums& sums, const GradientSinks& out) {
     const int64_t visible = (int64_t)state.splats.size();
     const int64_t chunks = (visible + POSE_CHUNK - 1) / POSE_CHUNK;
     const int S = map.feature_channels;
+    constexpr int COUNT = sums_of(SHAPE);
     std::vector<double> poses((size_t)chunks * 12, 0.0);
 #pragma omp parallel for schedule(static)
     for (int64_t c = 0; c < chunks; ++c) {
         for (int64_t i = c * POSE_CHUNK; i < std::min(visible, (c + 1) * POSE_CHUNK); ++i) {
             const Splat& p = state.splats[i];
-            float total[SUMS] = {0};
+            float total[COUNT] = {0};
             if (p.pairs == 1) {
-                std::copy_n(sums.own.data() + (size_t)i * SUMS, (int)SUMS, total);
+                std::copy_n(sums.own.data() + (size_t)i * COUNT, COUNT, total);
             } else {
                 std::fill_n(out.features + (size_t)i * S, S, 0.0f);
             }
             for (int k = 0; k < p.pairs && p.slot >= 0; ++k) {
-                const float* row = sums.shared.data() + (size_t)(p.slot + k) * SUMS;
-                for (int q = 0; q < SUMS; ++q) total[q] += row[q];
+                const float* row = sums.shared.data() + (size_t)(p.slot + k) * COUNT;
+                for (int q = 0; q < COUNT; ++q) total[q] += row[q];
                 const float* f = sums.shared_features.data() + (size_t)(p.slot + k) * S;
                 for (int q = 0; q < S; ++q) out.features[(size_t)i * S + q] += f[q];
             }
-            finish_splat(map, state, i, total, out, poses.data() + 12 * c);
+            double* const pose = poses.data() + 12 * c;
+            if (SHAPE == Shape::ELLIPSOID) {
+                differentiate_ellipsoid(map, state, i, total, out, pose);
+                continue;
+            }
+            if (state.low_pass.variance > 0) unfilter(state, i, total);
+            differentiate_sphere(map, state, i, total, out, pose);
+            if (state.low_pass.compensated) {
+                out.opacity_logits[i] = total[E] * (1.0f - p.opacity / own_part(state, i));
+            }
         }
     }
     std::fill_n(out.T_camera_map, 12, 0.0);
@@ -364,7 +411,7 @@ void finish(const Gaussians& map, const Rasterisation& state, const PairSums& su
     }
 }
 
-template <Features FEATURES, int FUSED>
+template <Shape SHAPE, Features FEATURES, int FUSED>
 void differentiate_tiles(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
                          const float* d_images, PairSums& sums, float* d_features) {
     const int tiles = state.tiles(), S = FEATURES != Features::NONE ? map.feature_channels : 0;
@@ -378,18 +425,33 @@ void differentiate_tiles(const Gaussians& map, const uint8_t* region, const Rast
         for (int tile = 0; tile < tiles; ++tile) {
             if ((region && !region[tile]) || state.tile_begin[tile] == state.tile_begin[tile + 1]) continue;
             load_tile(state, tile, S, d_images, *scratch);
-            differentiate_tile<FEATURES, FUSED>(map, state, tile, *scratch, sums, d_features);
+            differentiate_tile<SHAPE, FEATURES, FUSED>(map, state, tile, *scratch, sums, d_features);
         }
     }
 }
 
-template <Features FEATURES>
+// Ellipsoids always have passes of their own for the features.
+template <Shape SHAPE, Features FEATURES>
 void differentiate_features(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
                             const float* d_images, PairSums& sums, float* d_features) {
     const int groups = groups_of(map.feature_channels);
-    auto run = differentiate_tiles<FEATURES, 1>;
-    with_constant<2, MAX_FUSED>(groups, [&](auto n) { run = differentiate_tiles<FEATURES, n>; });
+    auto run = differentiate_tiles<SHAPE, FEATURES, 1>;
+    if constexpr (SHAPE == Shape::SPHERE) {
+        with_constant<2, MAX_FUSED>(groups, [&](auto n) { run = differentiate_tiles<SHAPE, FEATURES, n>; });
+    }
     run(map, region, state, d_images, sums, d_features);
+}
+
+template <Shape SHAPE>
+void differentiate_shape(const Gaussians& map, const uint8_t* region, const Rasterisation& state,
+                         const float* d_images, bool detached, PairSums& sums, float* d_features) {
+    if (!map.feature_channels) {
+        differentiate_tiles<SHAPE, Features::NONE, 1>(map, region, state, d_images, sums, nullptr);
+    } else if (detached) {
+        differentiate_features<SHAPE, Features::ALONE>(map, region, state, d_images, sums, d_features);
+    } else {
+        differentiate_features<SHAPE, Features::MOVE>(map, region, state, d_images, sums, d_features);
+    }
 }
 
 }  // namespace
@@ -398,17 +460,17 @@ void differentiate(const Gaussians& map, const uint8_t* region, const Rasterisat
                    const float* d_images, bool detached, const GradientSinks& out) {
     // Reused by later calls: allocating pages takes longer than computing the sums.
     static thread_local PairSums sums;
-    sums.own.resize(state.splats.size() * SUMS);
-    sums.shared.resize((size_t)state.slots * SUMS);
+    sums.count = sums_of(state.shape);
+    sums.own.resize(state.splats.size() * sums.count);
+    sums.shared.resize((size_t)state.slots * sums.count);
     sums.shared_features.resize((size_t)state.slots * map.feature_channels);
-    if (!map.feature_channels) {
-        differentiate_tiles<Features::NONE, 1>(map, region, state, d_images, sums, nullptr);
-    } else if (detached) {
-        differentiate_features<Features::ALONE>(map, region, state, d_images, sums, out.features);
+    if (state.shape == Shape::SPHERE) {
+        differentiate_shape<Shape::SPHERE>(map, region, state, d_images, detached, sums, out.features);
+        finish<Shape::SPHERE>(map, state, sums, out);
     } else {
-        differentiate_features<Features::MOVE>(map, region, state, d_images, sums, out.features);
+        differentiate_shape<Shape::ELLIPSOID>(map, region, state, d_images, detached, sums, out.features);
+        finish<Shape::ELLIPSOID>(map, state, sums, out);
     }
-    finish(map, state, sums, out);
 }
 
 }  // namespace semsplat

@@ -10,19 +10,35 @@ namespace {
 enum { MAX_CHUNKS = 32, MIN_CHUNK = 2048 };
 
 // Whether the splat's disc contains a pixel centre of the tile.
-inline bool touches(const Splat& s, int tx, int ty) {
-    const float left = (float)(tx * TILE), top = (float)(ty * TILE);
+inline bool disc_touches(const Splat& s, float left, float top) {
     const float dx = std::max({left - s.u, s.u - (left + TILE - 1), 0.0f});
     const float dy = std::max({top - s.v, s.v - (top + TILE - 1), 0.0f});
-    return dx * dx + dy * dy <= s.support_squared;
+    return dx * dx + dy * dy <= s.support;
 }
 
-template <class Visit>
+// Whether the splat's ellipse intersects the tile; see prepare_ellipsoid.
+inline bool ellipse_touches(const Splat& s, float left, float top) {
+    const float x0 = left - s.u, x1 = x0 + TILE - 1, y0 = top - s.v, y1 = y0 + TILE - 1;
+    const float x = std::clamp(0.0f, x0, x1), y = std::clamp(0.0f, y0, y1);
+    const float a = s.shape_a, b = s.shape_b, c = s.shape_c;
+    const float down = std::clamp(-a * b / (b * b + c * c) * x, y0, y1);
+    const float across = std::clamp(-b / a * y, x0, x1);
+    const auto form = [&](float dx, float dy) { return (a * dx + b * dy) * (a * dx + b * dy) + c * c * dy * dy; };
+    return std::min(form(x, down), form(across, y)) <= s.support;
+}
+
+template <Shape SHAPE>
+inline bool touches(const Splat& s, int tx, int ty) {
+    const float left = (float)(tx * TILE), top = (float)(ty * TILE);
+    return SHAPE == Shape::SPHERE ? disc_touches(s, left, top) : ellipse_touches(s, left, top);
+}
+
+template <Shape SHAPE, class Visit>
 inline void for_each_tile(const Splat& s, const uint8_t* region, int tiles_x, Visit visit) {
     for (int ty = s.tile_y0; ty <= s.tile_y1; ++ty) {
         for (int tx = s.tile_x0; tx <= s.tile_x1; ++tx) {
             const int tile = ty * tiles_x + tx;
-            if ((!region || region[tile]) && touches(s, tx, ty)) visit(tile);
+            if ((!region || region[tile]) && touches<SHAPE>(s, tx, ty)) visit(tile);
         }
     }
 }
@@ -77,9 +93,8 @@ void sort_tile(Rasterisation& state, int tile, SortScratch& scratch) {
     }
 }
 
-}  // namespace
-
-void bin(const uint8_t* region, Rasterisation& out) {
+template <Shape SHAPE>
+void bin_splats(const uint8_t* region, Rasterisation& out) {
     const int tiles = out.tiles();
     const int64_t visible = (int64_t)out.splats.size();
     const int64_t chunk = std::max<int64_t>(MIN_CHUNK, (visible + MAX_CHUNKS - 1) / MAX_CHUNKS);
@@ -94,7 +109,7 @@ void bin(const uint8_t* region, Rasterisation& out) {
         for (int64_t i = c * chunk; i < std::min(visible, (c + 1) * chunk); ++i) {
             Splat& s = out.splats[i];
             s.pairs = 0;
-            for_each_tile(s, region, out.tiles_x, [&](int tile) {
+            for_each_tile<SHAPE>(s, region, out.tiles_x, [&](int tile) {
                 ++counts[tile];
                 ++s.pairs;
             });
@@ -129,7 +144,7 @@ void bin(const uint8_t* region, Rasterisation& out) {
                 Splat& s = out.splats[i];
                 if (s.slot >= 0) s.slot += (int32_t)chunk_slots[c];
                 int32_t slot = s.slot;
-                for_each_tile(s, region, out.tiles_x, [&](int tile) {
+                for_each_tile<SHAPE>(s, region, out.tiles_x, [&](int tile) {
                     const int32_t at = cursors[tile]++;
                     out.pair_splat[at] = (int32_t)i;
                     out.pair_slot[at] = slot < 0 ? -1 : slot++;
@@ -138,6 +153,16 @@ void bin(const uint8_t* region, Rasterisation& out) {
         }
 #pragma omp for schedule(dynamic, 8)
         for (int tile = 0; tile < tiles; ++tile) sort_tile(out, tile, scratch);
+    }
+}
+
+}  // namespace
+
+void bin(const uint8_t* region, Rasterisation& out) {
+    if (out.shape == Shape::SPHERE) {
+        bin_splats<Shape::SPHERE>(region, out);
+    } else {
+        bin_splats<Shape::ELLIPSOID>(region, out);
     }
 }
 

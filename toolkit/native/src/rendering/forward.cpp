@@ -58,7 +58,7 @@ void add_all_features(const ForwardScratch& scratch, const BlockList& list, int 
 
 // Composites one batch into one block. Returns the number of entries used; it is smaller than the
 // length of the list if the block became opaque.
-template <bool FEATURES>
+template <Shape SHAPE, bool FEATURES>
 int composite_block(ForwardScratch& scratch, int block, float* transmittance) {
     const BlockList& list = scratch.lists[block];
     float(*const base)[BLOCK_PIXELS] = scratch.base[block];
@@ -73,7 +73,7 @@ int composite_block(ForwardScratch& scratch, int block, float* transmittance) {
         const TileEntry& e = scratch.entries[list.entry[n]];
         uint32_t bright = 0;
         for (int p = 0; p < PARTS; ++p) {
-            const Floats raw = gaussian_of(e, block, p);
+            const Floats raw = gaussian_of<SHAPE>(e, block, p);
             const Floats alpha = keep(ge(raw, cut), minimum(raw, most));
             const Floats w = alpha * T[p];
             T[p] = fnma(alpha, T[p], T[p]);  // a single rounding; T - w is inaccurate for alpha near 1
@@ -139,7 +139,7 @@ void write_tile(const Rasterisation& state, const ForwardScratch& scratch, int t
     }
 }
 
-template <bool FEATURES>
+template <Shape SHAPE, bool FEATURES>
 void composite_tile(const Gaussians& map, Rasterisation& state, int tile, ForwardScratch& scratch) {
     const int left = tile % state.tiles_x * TILE, top = tile / state.tiles_x * TILE;
     const int begin = state.tile_begin[tile], count = state.tile_begin[tile + 1] - begin;
@@ -155,7 +155,7 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
         for (BlockList& list : scratch.lists) list.count = 0;
         for (int j = 0; j < n; ++j) {
             if (j + PREFETCHED < n) __builtin_prefetch(&state.splats[state.pair_splat[begin + start + j + PREFETCHED]]);
-            prepare(state.splats[state.pair_splat[begin + start + j]], (float)left, (float)top,
+            prepare<SHAPE>(state.splats[state.pair_splat[begin + start + j]], (float)left, (float)top,
                     scratch.entries[j]);
             for (uint32_t m = scratch.entries[j].blocks & alive; m; m &= m - 1) {
                 BlockList& list = scratch.lists[__builtin_ctz(m)];
@@ -166,7 +166,7 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
             const int block = __builtin_ctz(m);
             const BlockList& list = scratch.lists[block];
             if (!list.count) continue;
-            const int used = composite_block<FEATURES>(scratch, block, T + BLOCK_PIXELS * block);
+            const int used = composite_block<SHAPE, FEATURES>(scratch, block, T + BLOCK_PIXELS * block);
             ends[block] = start + list.entry[used - 1] + 1;
             if (FEATURES) {
                 add_all_features(scratch, list, used, map,
@@ -177,12 +177,9 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
     }
 }
 
-}  // namespace
-
-void composite(const Gaussians& map, const uint8_t* region, Rasterisation& state, float* images) {
+template <Shape SHAPE>
+void composite_tiles(const Gaussians& map, const uint8_t* region, Rasterisation& state, float* images) {
     const int tiles = state.tiles(), S = map.extra_channels();
-    state.transmittance.resize((size_t)tiles * TILE_PIXELS);
-    state.block_end.resize((size_t)tiles * BLOCKS);
 #pragma omp parallel
     {
         auto scratch = std::make_unique<ForwardScratch>();
@@ -191,12 +188,24 @@ void composite(const Gaussians& map, const uint8_t* region, Rasterisation& state
         for (int tile = 0; tile < tiles; ++tile) {
             if (region && !region[tile]) continue;
             if (S) {
-                composite_tile<true>(map, state, tile, *scratch);
+                composite_tile<SHAPE, true>(map, state, tile, *scratch);
             } else {
-                composite_tile<false>(map, state, tile, *scratch);
+                composite_tile<SHAPE, false>(map, state, tile, *scratch);
             }
             write_tile(state, *scratch, tile, S, images);
         }
+    }
+}
+
+}  // namespace
+
+void composite(const Gaussians& map, const uint8_t* region, Rasterisation& state, float* images) {
+    state.transmittance.resize((size_t)state.tiles() * TILE_PIXELS);
+    state.block_end.resize((size_t)state.tiles() * BLOCKS);
+    if (state.shape == Shape::SPHERE) {
+        composite_tiles<Shape::SPHERE>(map, region, state, images);
+    } else {
+        composite_tiles<Shape::ELLIPSOID>(map, region, state, images);
     }
 }
 

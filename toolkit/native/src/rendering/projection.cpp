@@ -3,16 +3,13 @@
 #include <cmath>
 
 #include "common/simd.hpp"
-#include "rendering/splats.hpp"
+#include "rendering/ellipsoids.hpp"
 
 namespace semsplat {
 namespace {
 
 // The chunks, and therefore the order of all sums, do not depend on the number of threads.
 enum { CHUNK = 4096 };
-
-// Largest support in standard deviations, at opacity 1: sqrt(2 ln (1 / MIN_ALPHA)).
-constexpr float MAX_SUPPORT = 3.3291f;
 
 // Intermediate values of the Gaussians of a chunk, as arrays for vector instructions.
 struct ChunkScratch {
@@ -28,7 +25,7 @@ int find_visible(const Gaussians& map, const Rasterisation& state, int64_t begin
     const Pinhole& cam = state.camera;
     const float* R = state.R;
     const float* t = state.t;
-    const float focal = std::sqrt(cam.fx * cam.fy);
+    const float focal = std::sqrt(cam.fx * cam.fy), low_pass = state.low_pass.variance;
     std::copy_n(map.log_radii + begin, count, s.radius);
     for_vectors(s.radius, count, [](Floats x) { return exponential(x); });
     int visible = 0;
@@ -41,7 +38,9 @@ int find_visible(const Gaussians& map, const Rasterisation& state, int64_t begin
         const float y = R[3] * m[0] + R[4] * m[1] + R[5] * m[2] + t[1];
         const float u = cam.fx * x * inverse_z + cam.cx;
         const float v = cam.fy * y * inverse_z + cam.cy;
-        const float sigma = focal * s.radius[k] * inverse_z, logit = map.opacity_logits[begin + k];
+        const float logit = map.opacity_logits[begin + k];
+        float sigma = focal * s.radius[k] * inverse_z;
+        if (low_pass > 0) sigma = std::sqrt(sigma * sigma + low_pass);
         const float reach = MAX_SUPPORT * sigma;
         if (!(u + reach >= 0 && v + reach >= 0 && u - reach <= cam.width - 1 && v - reach <= cam.height - 1 &&
               sigma > MIN_SIGMA_PX)) {
@@ -65,6 +64,11 @@ int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begi
     const int visible = find_visible(map, state, begin, count, s);
     std::copy_n(s.logit, visible, s.opacity);
     for_vectors(s.opacity, visible, [](Floats x) { return reciprocal(all(1.0f) + exponential(all(0.0f) - x)); });
+    if (state.low_pass.compensated && state.low_pass.variance > 0) {
+        for (int k = 0; k < visible; ++k) {
+            s.opacity[k] *= 1.0f - state.low_pass.variance / (s.sigma[k] * s.sigma[k]);
+        }
+    }
     std::copy_n(s.opacity, visible, s.log_ratio);
     for_vectors(s.log_ratio, visible, [](Floats x) { return logarithm(x * all(1.0f / MIN_ALPHA)); });
     int written = 0;
@@ -72,22 +76,21 @@ int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begi
         const float u = s.u[k], v = s.v[k], sigma = s.sigma[k], opacity = s.opacity[k];
         if (!(opacity > MIN_ALPHA)) continue;
         // Slightly too large, so that rounding never removes a pixel that passes the alpha test.
-        const float support_squared = 2.0f * sigma * sigma * s.log_ratio[k] * 1.0001f + 1e-6f;
-        const float support = std::sqrt(support_squared);
-        const int x0 = std::max(0, (int)std::ceil(std::max(u - support, -1.0f)));
-        const int y0 = std::max(0, (int)std::ceil(std::max(v - support, -1.0f)));
-        const int x1 = (int)std::floor(std::min(u + support, cam.width - 1.0f));
-        const int y1 = (int)std::floor(std::min(v + support, cam.height - 1.0f));
+        const float support = 2.0f * sigma * sigma * s.log_ratio[k] * 1.0001f + 1e-6f;
+        const float reach = std::sqrt(support);
+        const int x0 = std::max(0, (int)std::ceil(std::max(u - reach, -1.0f)));
+        const int y0 = std::max(0, (int)std::ceil(std::max(v - reach, -1.0f)));
+        const int x1 = (int)std::floor(std::min(u + reach, cam.width - 1.0f));
+        const int y1 = (int)std::floor(std::min(v + reach, cam.height - 1.0f));
         if (x0 > x1 || y0 > y1) continue;  // between pixel centres
         const int64_t i = begin + s.index[k];
         Splat& splat = out[written++];
         splat.u = u;
         splat.v = v;
         splat.z = s.z[k];
-        splat.sigma = sigma;
-        splat.exponent = -0.5f / (sigma * sigma);
+        splat.shape_a = -0.5f / (sigma * sigma);
         splat.opacity = opacity;
-        splat.support_squared = support_squared;
+        splat.support = support;
         splat.r = map.colours[3 * i];
         splat.g = map.colours[3 * i + 1];
         splat.b = map.colours[3 * i + 2];
@@ -97,6 +100,12 @@ int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begi
         splat.tile_x1 = (int16_t)(x1 / TILE);
         splat.tile_y1 = (int16_t)(y1 / TILE);
     }
+    return written;
+}
+
+int project_ellipsoids(const Gaussians& map, const Rasterisation& state, int64_t begin, int count, Splat* out) {
+    int written = 0;
+    for (int64_t i = begin; i < begin + count; ++i) written += project_ellipsoid(map, state, i, out[written]);
     return written;
 }
 
@@ -117,7 +126,9 @@ void project(const Gaussians& map, Rasterisation& out) {
         for (int64_t c = 0; c < chunks; ++c) {
             const int64_t begin = c * CHUNK;
             const int count = (int)std::min<int64_t>(CHUNK, map.count - begin);
-            first[(size_t)c + 1] = project_chunk(map, out, begin, count, *scratch, splats + begin);
+            first[(size_t)c + 1] = out.shape == Shape::SPHERE
+                                       ? project_chunk(map, out, begin, count, *scratch, splats + begin)
+                                       : project_ellipsoids(map, out, begin, count, splats + begin);
         }
     }
     for (int64_t c = 0; c < chunks; ++c) first[(size_t)c + 1] += first[(size_t)c];

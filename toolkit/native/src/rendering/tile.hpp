@@ -1,6 +1,6 @@
 // Shared by the forward and backward pass: a batch of a tile's splats.
 //
-// A tile of 16x16 pixels consists of blocks of 4x4 or 4x2 pixels. The Gaussian is separable,
+// A tile of 16x16 pixels consists of blocks of 4x4 or 4x2 pixels. A sphere is separable,
 // exp(k dx^2) exp(k dy^2), so 32 exponentials suffice for all pixels of a tile.
 #pragma once
 
@@ -25,13 +25,15 @@ enum {
 constexpr uint32_t ALL_BLOCKS = 0xffffffffu >> (32 - BLOCKS);
 
 struct alignas(64) TileEntry {
-    float columns[16];  // exp(k dx^2) of the tile's 16 columns
-    float rows[16];     // opacity * exp(k dy^2) of its 16 rows
+    // Sphere: exp(k dx^2) of the tile's 16 columns, and opacity * exp(k dy^2) of its 16 rows.
+    // Ellipsoid: dx and dy.
+    float columns[16], rows[16];
     float r, g, b, z;
     float u, v;         // centre relative to the tile's first pixel
     int32_t id, splat, slot;
     uint32_t blocks;    // bit i: block i is within the support
-    int32_t padding[6];
+    float shape_a, shape_b, shape_c, opacity;  // of an ellipsoid; see Splat
+    int32_t padding[2];
 };
 static_assert(sizeof(TileEntry) == 192, "three cache lines");
 
@@ -50,9 +52,19 @@ SEMSPLAT_INLINE Floats outside(Floats begin, float length) {
     return maximum(maximum(begin, zero - (begin + all(length))), zero);
 }
 
-SEMSPLAT_INLINE void prepare(const Splat& s, float left, float top, TileEntry& e) {
+SEMSPLAT_INLINE void prepare_values(const Splat& s, float u, float v, TileEntry& e) {
+    e.r = s.r;
+    e.g = s.g;
+    e.b = s.b;
+    e.z = s.z;
+    e.u = u;
+    e.v = v;
+    e.id = s.id;
+}
+
+SEMSPLAT_INLINE void prepare_sphere(const Splat& s, float left, float top, TileEntry& e) {
     const float u = s.u - left, v = s.v - top;
-    const Floats k = all(s.exponent), opacity = all(s.opacity), support = all(s.support_squared);
+    const Floats k = all(s.shape_a), opacity = all(s.opacity), support = all(s.support);
     for (int first = 0; first < TILE; first += LANES) {
         const Floats dx = load(COUNTING + first) - all(u), dy = load(COUNTING + first) - all(v);
         store(e.columns + first, exp_negative(k * dx * dx));
@@ -66,19 +78,68 @@ SEMSPLAT_INLINE void prepare(const Splat& s, float left, float top, TileEntry& e
         blocks |= bits(ge(support, fma(x, x, y * y))) << first;
     }
     e.blocks = blocks;
-    e.r = s.r;
-    e.g = s.g;
-    e.b = s.b;
-    e.z = s.z;
-    e.u = u;
-    e.v = v;
-    e.id = s.id;
+    prepare_values(s, u, v, e);
+}
+
+SEMSPLAT_INLINE Floats clamped(Floats x, Floats least, Floats most) { return minimum(maximum(x, least), most); }
+
+SEMSPLAT_INLINE void prepare_ellipsoid(const Splat& s, float left, float top, TileEntry& e) {
+    const float u = s.u - left, v = s.v - top;
+    for (int first = 0; first < TILE; first += LANES) {
+        store(e.columns + first, load(COUNTING + first) - all(u));
+        store(e.rows + first, load(COUNTING + first) - all(v));
+    }
+    // The smallest value of the quadratic form (a x + b y)^2 + (c y)^2 over each block. If the centre is
+    // outside, it lies on the edges that face it.
+    const Floats a = all(s.shape_a), b = all(s.shape_b), c = all(s.shape_c), support = all(s.support), zero = all(0.0f);
+    const Floats along_x = all(-s.shape_b / s.shape_a);
+    const Floats along_y = all(-s.shape_a * s.shape_b / (s.shape_b * s.shape_b + s.shape_c * s.shape_c));
+    const Floats x0 = load_columns(BLOCK_LEFT) - all(u), x1 = x0 + all(3.0f);
+    const Floats x = clamped(zero, x0, x1);
+    uint32_t blocks = 0;
+    for (int first = 0; first < BLOCKS; first += LANES) {
+        const Floats y0 = load_rows(BLOCK_TOP + first / 4) - all(v), y1 = y0 + all(BLOCK_ROWS - 1);
+        const Floats y = clamped(zero, y0, y1);
+        const Floats across = clamped(along_x * y, x0, x1), down = clamped(along_y * x, y0, y1);
+        const Floats beside = fma(a, x, b * down), below = c * down, above = fma(a, across, b * y), at_y = c * y;
+        const Floats least = minimum(fma(beside, beside, below * below), fma(above, above, at_y * at_y));
+        blocks |= bits(ge(support, least)) << first;
+    }
+    e.blocks = blocks;
+    e.shape_a = s.shape_a;
+    e.shape_b = s.shape_b;
+    e.shape_c = s.shape_c;
+    e.opacity = s.opacity;
+    prepare_values(s, u, v, e);
+}
+
+template <Shape SHAPE>
+SEMSPLAT_INLINE void prepare(const Splat& s, float left, float top, TileEntry& e) {
+    if (SHAPE == Shape::SPHERE) {
+        prepare_sphere(s, left, top, e);
+    } else {
+        prepare_ellipsoid(s, left, top, e);
+    }
+}
+
+// Coordinates s, t of an ellipsoid at the pixels of one part of a block; the exponent is -(s^2 + t^2).
+SEMSPLAT_INLINE void whitened(const TileEntry& e, int block, int part, Floats& s, Floats& t) {
+    const Floats x = load_columns(e.columns + block_column(block));
+    const Floats y = load_rows(e.rows + block_row(block) + LANES / 4 * part);
+    s = fma(all(e.shape_a), x, all(e.shape_b) * y);
+    t = all(e.shape_c) * y;
 }
 
 // Opacity times Gaussian of an entry at the pixels of one part of a block.
+template <Shape SHAPE>
 SEMSPLAT_INLINE Floats gaussian_of(const TileEntry& e, int block, int part) {
-    return load_columns(e.columns + block_column(block)) *
-           load_rows(e.rows + block_row(block) + LANES / 4 * part);
+    if (SHAPE == Shape::SPHERE) {
+        return load_columns(e.columns + block_column(block)) *
+               load_rows(e.rows + block_row(block) + LANES / 4 * part);
+    }
+    Floats s, t;
+    whitened(e, block, part, s, t);
+    return all(e.opacity) * exp_negative(fnma(s, s, all(0.0f) - t * t));
 }
 
 // Calls f with the integral constant n if it is from FIRST to LAST.

@@ -1,0 +1,153 @@
+"""Axes and view-dependent colours, with which a cloud consists of ellipsoids.
+
+Parameters, signs of the harmonics and order of the quaternion are those of 3DGS and its files.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+# Numbers of coefficients per colour of the degrees 0 to 3, without the constant.
+HARMONIC_COUNTS = (0, 3, 8, 15)
+
+
+@dataclass(frozen=True)
+class Ellipsoids:
+    """Shapes and view dependence of N Gaussians.
+
+    Attributes:
+        log_scales: [N, 3] float32, natural logarithms of the standard deviations along the axes,
+            in metres.
+        rotations: [N, 4] float32, quaternions wxyz of any length > 0, from axes to map.
+        harmonics: [N, K, 3] float32, coefficients of the spherical harmonics of the degrees 1 to
+            3 (K is 0, 3, 8 or 15), added to the colour.
+
+    Raises:
+        ValueError: shapes do not match.
+    """
+
+    log_scales: Tensor
+    rotations: Tensor
+    harmonics: Tensor
+
+    def __post_init__(self) -> None:
+        n, K = len(self.log_scales), self.harmonics.shape[1]
+        expected = {"log_scales": (n, 3), "rotations": (n, 4), "harmonics": (n, K, 3)}
+        for name, shape in expected.items():
+            actual = tuple(getattr(self, name).shape)
+            if actual != shape:
+                raise ValueError(f"{name} must have shape {list(shape)}, got {list(actual)}")
+        if K not in HARMONIC_COUNTS:
+            raise ValueError(f"harmonics must have 0, 3, 8 or 15 coefficients, got {K}")
+
+    def __len__(self) -> int:
+        return len(self.log_scales)
+
+    @property
+    def degree(self) -> int:
+        """Highest degree of the harmonics, 0 to 3."""
+        return HARMONIC_COUNTS.index(self.harmonics.shape[1])
+
+    def mapped(self, function: Callable[[Tensor], Tensor]) -> Ellipsoids:
+        """Apply a function of rows to all tensors."""
+        return Ellipsoids(
+            function(self.log_scales), function(self.rotations), function(self.harmonics)
+        )
+
+    def rotated(self, R: NDArray[np.float64]) -> Ellipsoids:
+        """Return the ellipsoids after a rotation [3, 3] of the map, with their view dependence."""
+        x, y, z, w = Rotation.from_matrix(R).as_quat()
+        product = ((w, -x, -y, -z), (x, w, -z, y), (y, z, w, -x), (z, -y, x, w))
+        turned = harmonic_rotation(R, self.harmonics.shape[1]).to(self.harmonics)
+        return Ellipsoids(
+            self.log_scales,
+            self.rotations @ self.rotations.new_tensor(product).T,
+            torch.einsum("jk,nkc->njc", turned, self.harmonics),
+        )
+
+    def with_degree(self, degree: int) -> Ellipsoids:
+        """Return the ellipsoids with harmonics of another degree: cut, or filled with zeros."""
+        K = HARMONIC_COUNTS[degree]
+        kept = self.harmonics[:, :K]
+        filled = torch.cat([kept, kept.new_zeros(len(self), K - kept.shape[1], 3)], dim=1)
+        return Ellipsoids(self.log_scales, self.rotations, filled)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Ellipsoids]) -> Ellipsoids:
+        """Concatenate in order, with the highest degree of all."""
+        degree = max(part.degree for part in parts)
+        parts = [part.with_degree(degree) for part in parts]
+        return cls(
+            torch.cat([part.log_scales for part in parts]),
+            torch.cat([part.rotations for part in parts]),
+            torch.cat([part.harmonics for part in parts]),
+        )
+
+    @classmethod
+    def spheres(cls, log_radii: Tensor, degree: int = 0) -> Ellipsoids:
+        """Spheres [N] as ellipsoids, whose colour does not depend on the view."""
+        n = len(log_radii)
+        rotations = log_radii.new_tensor([1.0, 0.0, 0.0, 0.0]).expand(n, 4).contiguous()
+        scales = log_radii[:, None].expand(n, 3).contiguous()
+        return cls(scales, rotations, log_radii.new_zeros(n, HARMONIC_COUNTS[degree], 3))
+
+
+def rotation_matrices(quaternions: Tensor) -> Tensor:
+    """Rotation matrices [N, 3, 3] of quaternions [N, 4], wxyz, of any length > 0."""
+    w, x, y, z = torch.nn.functional.normalize(quaternions, dim=1).unbind(1)
+    rows = (
+        torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], dim=1),
+        torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], dim=1),
+        torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], dim=1),
+    )
+    return torch.stack(rows, dim=1)
+
+
+def harmonic_basis(directions: Tensor, count: int) -> Tensor:
+    """Values [N, K] of the first K = `count` harmonics after the constant.
+
+    Args:
+        directions: [N, 3] from the camera to the Gaussians, of length 1.
+    """
+    x, y, z = directions.unbind(1)
+    xx, yy, zz = x * x, y * y, z * z
+    values = [
+        *(-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x),
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2.0 * zz - xx - yy),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (xx - yy),
+        -0.5900435899266435 * y * (3.0 * xx - yy),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4.0 * zz - xx - yy),
+        0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+        -0.4570457994644658 * x * (4.0 * zz - xx - yy),
+        1.445305721320277 * z * (xx - yy),
+        -0.5900435899266435 * x * (xx - 3.0 * yy),
+    ]
+    return torch.stack(values[:count], dim=1) if count else directions[:, :0]
+
+
+def harmonic_rotation(R: NDArray[np.float64], count: int) -> Tensor:
+    """The matrix [K, K] that rotates coefficients: the new function at R d is the old one at d."""
+    directions = torch.from_numpy(_directions())
+    turned = harmonic_basis(directions @ torch.as_tensor(R).T, count)
+    return torch.linalg.lstsq(turned, harmonic_basis(directions, count)).solution
+
+
+@functools.cache
+def _directions() -> NDArray[np.float64]:
+    """Directions [64, 3] spread over the sphere, which determine all coefficients."""
+    k = np.arange(64) + 0.5
+    angle, z = np.pi * (1.0 + 5.0**0.5) * k, 1.0 - k / 32.0
+    around = np.sqrt(1.0 - z * z)
+    return np.stack([around * np.cos(angle), around * np.sin(angle), z], axis=1)
