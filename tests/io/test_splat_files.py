@@ -1,14 +1,19 @@
 """Splat files: round trips, the layout of viewers, damaged files."""
 
 import gzip
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from toolkit.errors import DatasetError, FormatError, RunFolderError
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
+from toolkit.gaussians.ellipsoids import Ellipsoids
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.io import splats
+from toolkit.rendering import render
 from toolkit.runs.folder import read_cloud
 
 
@@ -139,7 +144,7 @@ def test_spz_of_version_2_is_read_by_others(tmp_path, cloud):
     np.testing.assert_allclose(read.colours, cloud.colours.numpy(), atol=0.01)
     opacities = 1.0 / (1.0 + np.exp(-read.opacity_logits))
     np.testing.assert_allclose(opacities, cloud.opacities.numpy(), atol=0.01)
-    assert read.shapes is None
+    assert read.ellipsoids is None
     # Version 4 has the same axes: y up, z backward.
     splats.export_splats(tmp_path / "new.spz", cloud)
     for name in ("map.spz", "new.spz"):
@@ -177,14 +182,75 @@ def test_spz_that_cannot_be_read_is_explained(tmp_path, content, words):
         splats.read_splats(tmp_path / "map.spz")
 
 
-def test_anisotropic_splats_are_not_rendered_as_spheres(tmp_path, cloud):
-    """Three axes of different length; `read_cloud` is what renders and Open3D scripts use."""
-    splats.write_splat_ply(tmp_path / "map.ply", cloud)
+@pytest.fixture
+def ellipsoids(cloud) -> GaussianCloud:
+    """Ellipsoids with harmonics of degree 2 that a byte can store."""
+    generator = torch.Generator().manual_seed(3)
+    count = len(cloud)
+    shapes = Ellipsoids(
+        cloud.log_radii[:, None] + torch.rand(count, 3, generator=generator) - 0.5,
+        torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1),
+        0.4 * torch.rand(count, 8, 3, generator=generator) - 0.2,
+    )
+    return replace(cloud, ellipsoids=shapes, log_radii=shapes.log_scales.mean(dim=1))
+
+
+def assert_same_ellipsoids(read: GaussianCloud, written: GaussianCloud, atol: float) -> None:
+    assert read.ellipsoids is not None and written.ellipsoids is not None
+    assert read.low_pass == LOW_PASS_3DGS
+    torch.testing.assert_close(
+        read.ellipsoids.log_scales, written.ellipsoids.log_scales, atol=atol, rtol=0
+    )
+    turns = (read.ellipsoids.rotations * written.ellipsoids.rotations).sum(dim=1).abs()
+    assert float(turns.min()) > 1.0 - atol
+
+
+def test_ellipsoids_and_harmonics_survive_in_a_ply(tmp_path, ellipsoids):
+    splats.write_splat_ply(tmp_path / "map.ply", ellipsoids)
+    header = (tmp_path / "map.ply").read_bytes().partition(b"end_header")[0]
+    assert header.count(b"f_rest_") == 24
+    read = read_cloud(tmp_path / "map.ply")
+    assert_same_ellipsoids(read, ellipsoids, 1e-5)
+    torch.testing.assert_close(read.ellipsoids.harmonics, ellipsoids.ellipsoids.harmonics)
+    torch.testing.assert_close(read.log_radii, ellipsoids.log_radii)
+
+
+@pytest.mark.parametrize("suffix", [".splat", ".spz"])
+def test_ellipsoids_survive_in_formats_of_bytes(tmp_path, ellipsoids, suffix):
+    """`.splat` has no harmonics, and is sorted by size; those of `.spz` are rounded."""
+    splats.export_splats(tmp_path / f"map{suffix}", ellipsoids)
+    read = read_cloud(tmp_path / f"map{suffix}")
+    read = read.select(torch.cdist(ellipsoids.means, read.means).argmin(dim=1))
+    assert_same_ellipsoids(read, ellipsoids, 0.05)
+    if suffix == ".spz":
+        written = ellipsoids.ellipsoids.harmonics
+        torch.testing.assert_close(read.ellipsoids.harmonics, written, atol=0.07, rtol=0)
+
+
+def test_a_ply_and_a_spz_of_one_map_look_the_same(tmp_path, ellipsoids):
+    """Also from the side, so the axes of harmonics and rotations are converted."""
+    camera = Camera(40.0, 40.0, 15.5, 15.5, 32, 32)
+    T_camera_map = se3.exp(np.array([0.2, 0.1, 2.0, 0.3, 0.8, -0.4]))
+    images = []
+    for name in ("map.ply", "map.spz"):
+        splats.export_splats(tmp_path / name, ellipsoids)
+        images.append(render(read_cloud(tmp_path / name), camera, T_camera_map).colour)
+    assert float(images[0].max()) > 0.1
+    assert float((images[0] - images[1]).abs().max()) < 0.05
+
+
+def test_spz_of_version_2_is_not_written_for_ellipsoids(tmp_path, ellipsoids):
+    with pytest.raises(RunFolderError, match="use version 4"):
+        splats.export_splats(tmp_path / "map.spz", ellipsoids, spz_version=2)
+
+
+def test_rotations_of_length_zero_are_upright(tmp_path, ellipsoids):
+    splats.write_splat_ply(tmp_path / "map.ply", ellipsoids)
     header, end, body = (tmp_path / "map.ply").read_bytes().partition(b"end_header\n")
     names = [line.split()[2].decode() for line in header.splitlines() if b"property" in line]
-    rows = np.frombuffer(body, np.float32).reshape(len(cloud), len(names)).copy()
-    rows[:, names.index("scale_0")] += 1.0
+    rows = np.frombuffer(body, np.float32).reshape(len(ellipsoids), len(names)).copy()
+    first = names.index("rot_0")
+    rows[0, first : first + 4] = 0.0
     (tmp_path / "map.ply").write_bytes(header + end + rows.tobytes())
-    assert splats.read_splats(tmp_path / "map.ply").shapes is not None
-    with pytest.raises(FormatError, match="show it with semsplat view"):
-        read_cloud(tmp_path / "map.ply")
+    rotations = read_cloud(tmp_path / "map.ply").ellipsoids.rotations
+    assert rotations[0].tolist() == [1, 0, 0, 0]

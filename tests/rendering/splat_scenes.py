@@ -195,20 +195,52 @@ def _footprints(scene: Scene, order: NDArray, points: NDArray) -> tuple[NDArray,
         axes = turned.as_matrix()[order]
         variances = np.exp(2.0 * cloud.ellipsoids.log_scales.double().numpy()[order])
         covariances = R @ (axes * variances[:, None]) @ axes.transpose(0, 2, 1) @ R.T
-        middle = [(camera.width - 1) / 2, (camera.height - 1) / 2]
-        middle -= np.array([camera.cx, camera.cy])
-        reach = 1.3 * np.array([camera.width, camera.height]) / 2
-        focal = np.array([camera.fx, camera.fy])
-        slopes = points[:, :2] / points[:, 2:]
-        slopes = np.clip(slopes, (middle - reach) / focal, (middle + reach) / focal)
-        J = np.zeros((len(points), 2, 3))
-        J[:, 0, 0], J[:, 1, 1] = focal[:, None] / points[:, 2]
-        J[:, :, 2] = -focal * slopes / points[:, 2:]
+        J = _jacobians(camera, points)
         bare = J @ covariances @ J.transpose(0, 2, 1)
     variance, compensated = cloud.low_pass.variance_px2, cloud.low_pass.compensated
     filtered = bare + variance * np.eye(2)
     ratio = np.linalg.det(bare) / np.linalg.det(filtered)
     return filtered, np.sqrt(ratio) if compensated else np.ones(len(points))
+
+
+def _jacobians(camera: Camera, points: NDArray) -> NDArray:
+    """Jacobians [M, 2, 3] of the projection of points [M, 3], evaluated near the image at most."""
+    middle = [(camera.width - 1) / 2, (camera.height - 1) / 2]
+    middle -= np.array([camera.cx, camera.cy])
+    reach = 1.3 * np.array([camera.width, camera.height]) / 2
+    focal = np.array([camera.fx, camera.fy])
+    slopes = points[:, :2] / points[:, 2:]
+    slopes = np.clip(slopes, (middle - reach) / focal, (middle + reach) / focal)
+    J = np.zeros((len(points), 2, 3))
+    J[:, 0, 0], J[:, 1, 1] = focal[:, None] / points[:, 2]
+    J[:, :, 2] = -focal * slopes / points[:, 2:]
+    return J
+
+
+def _inclined_depths(scene: Scene) -> NDArray:
+    """Depth [M, H, W] of each Gaussian at a pixel, relative to that of its centre: a regression.
+
+    Estimated from the Gaussian's principal points, which have its mean and covariance.
+    """
+    cloud, camera, T = scene.cloud, scene.camera, scene.T_camera_map
+    points = se3.transform_points(T, cloud.means.double().numpy())
+    order = np.argsort(points[:, 2], kind="stable")
+    order = order[points[order, 2] > NEAR_M]
+    offsets = np.zeros((len(order), camera.height, camera.width))
+    if cloud.ellipsoids is None:
+        return offsets
+    footprint, _ = _footprints(scene, order, points[order])
+    turned = Rotation.from_quat(cloud.ellipsoids.rotations.double().numpy()[:, [1, 2, 3, 0]])
+    scales = np.exp(cloud.ellipsoids.log_scales.double().numpy()[order])
+    axes = T[:3, :3] @ (turned.as_matrix()[order] * scales[:, None])
+    jacobians = _jacobians(camera, points[order])
+    steps = jacobians @ axes
+    slopes = np.linalg.solve(footprint, np.einsum("nik,nk->ni", steps, axes[:, 2])[:, :, None])
+    u, v = camera.project(points[order]).T
+    y, x = np.mgrid[: camera.height, : camera.width]
+    return slopes[:, 0, :, None] * (x - u[:, None, None]) + slopes[:, 1, :, None] * (
+        y - v[:, None, None]
+    )
 
 
 def _seen_colours(scene: Scene) -> NDArray:
@@ -243,9 +275,11 @@ def dense_images(scene: Scene) -> NDArray[np.float64]:
     alphas, values = raw_alphas(scene)
     passed = np.ones((scene.camera.height, scene.camera.width))
     images = np.zeros((values.shape[1], *passed.shape))
-    for alpha, value in zip(alphas, values, strict=True):
+    inclined = _inclined_depths(scene)
+    for alpha, value, offset in zip(alphas, values, inclined, strict=True):
         alpha = np.where(alpha >= MIN_ALPHA, np.minimum(alpha, MAX_ALPHA), 0.0)
         images += value[:, None, None] * (alpha * passed)
+        images[3] += offset * alpha * passed
         passed = passed * (1.0 - alpha)
     return images
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from toolkit.gaussians.ellipsoids import Ellipsoids
+from toolkit.gaussians.ellipsoids import SHAPES, Ellipsoids
 
 # The tensors of a cloud, one row for each Gaussian.
 PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
@@ -146,8 +147,40 @@ class GaussianCloud:
         )
 
     def as_ellipsoids(self) -> Ellipsoids:
-        """The shapes of all Gaussians."""
+        """Return the shapes of all Gaussians."""
         return self.ellipsoids or Ellipsoids.spheres(self.log_radii)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return all tensors by name, those of the ellipsoids among them."""
+        shapes = {} if self.ellipsoids is None else self.ellipsoids.tensors()
+        return {name: getattr(self, name) for name in PARAMETERS} | shapes
+
+    def with_tensors(self, tensors: Mapping[str, Tensor]) -> GaussianCloud:
+        """Return a cloud of other `tensors`; it has ellipsoids if they contain their names."""
+        values: dict[str, Any] = {name: tensors[name] for name in PARAMETERS}
+        shapes = [tensors[name] for name in SHAPES if name in tensors]
+        return replace(self, **values, ellipsoids=Ellipsoids(*shapes) if shapes else None)
+
+    def recoloured(self, function: Callable[[Tensor], Tensor]) -> GaussianCloud:
+        """Return the cloud with an affine function of colours [..., 3] applied to its colours."""
+        ellipsoids = self.ellipsoids
+        if ellipsoids is not None:
+            offset = function(torch.zeros_like(ellipsoids.harmonics))
+            harmonics = function(ellipsoids.harmonics) - offset
+            ellipsoids = replace(ellipsoids, harmonics=harmonics)
+        return replace(self, colours=function(self.colours), ellipsoids=ellipsoids)
+
+    def scaled(self, factor: float) -> GaussianCloud:
+        """Return the cloud with all lengths multiplied by a factor > 0."""
+        ellipsoids, added = self.ellipsoids, math.log(factor)
+        if ellipsoids is not None:
+            ellipsoids = replace(ellipsoids, log_scales=ellipsoids.log_scales + added)
+        return replace(
+            self,
+            means=self.means * factor,
+            log_radii=self.log_radii + added,
+            ellipsoids=ellipsoids,
+        )
 
     def select(self, index: Tensor) -> GaussianCloud:
         """Select Gaussians by a boolean mask [N] or integer indices [M]."""
@@ -176,6 +209,4 @@ class GaussianCloud:
 
     def mapped(self, function: Callable[[Tensor], Tensor]) -> GaussianCloud:
         """Apply a function of rows to all tensors."""
-        tensors: dict[str, Any] = {name: function(getattr(self, name)) for name in PARAMETERS}
-        ellipsoids = self.ellipsoids and self.ellipsoids.mapped(function)
-        return replace(self, **tensors, ellipsoids=ellipsoids)
+        return self.with_tensors({n: function(tensor) for n, tensor in self.tensors().items()})

@@ -17,6 +17,8 @@ from torch import Tensor
 
 # Numbers of coefficients per colour of the degrees 0 to 3, without the constant.
 HARMONIC_COUNTS = (0, 3, 8, 15)
+# The tensors of ellipsoids, one row for each.
+SHAPES = ("log_scales", "rotations", "harmonics")
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,10 @@ class Ellipsoids:
     def degree(self) -> int:
         """Highest degree of the harmonics, 0 to 3."""
         return HARMONIC_COUNTS.index(self.harmonics.shape[1])
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return the tensors by name."""
+        return {name: getattr(self, name) for name in SHAPES}
 
     def mapped(self, function: Callable[[Tensor], Tensor]) -> Ellipsoids:
         """Apply a function of rows to all tensors."""

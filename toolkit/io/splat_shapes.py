@@ -1,9 +1,39 @@
-"""Shapes of anisotropic splats."""
+"""Shapes and view-dependent colours of anisotropic splats."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+
+# Factors of the harmonics of the degrees 1 to 3 where the axes y and z are reversed.
+_REVERSED = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
+
+
+@dataclass(frozen=True)
+class SplatShapes:
+    """Shapes of N splats, with the names of `gaussians.ellipsoids.Ellipsoids`.
+
+    Attributes:
+        log_scales: [N, 3] float32, natural logarithms of the standard deviations in metres.
+        rotations: [N, 4] float32, quaternions wxyz of any length > 0, from axes to map.
+        harmonics: [N, K, 3] float32 with K of 0, 3, 8 or 15, added to the colour.
+    """
+
+    log_scales: NDArray[np.float32]
+    rotations: NDArray[np.float32]
+    harmonics: NDArray[np.float32]
+
+    def relative_covariances(self) -> NDArray[np.float32]:
+        """Return covariances [N, 6]; see the function of this name."""
+        return relative_covariances(np.exp(self.log_scales), self.rotations)
+
+    def with_reversed_axes(self) -> SplatShapes:
+        """Return the shapes after a half turn about the x axis."""
+        turn = np.array([1, 1, -1, -1], np.float32)
+        signs = _REVERSED[: self.harmonics.shape[1], None]
+        return SplatShapes(self.log_scales, self.rotations * turn, self.harmonics * signs)
 
 
 def relative_covariances(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError, FormatError, RunFolderError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing, write_bytes
-from toolkit.io.splat_shapes import relative_covariances
+from toolkit.io.splat_shapes import SplatShapes
 from toolkit.io.spz import spz_version_2
 
 PathLike = str | os.PathLike[str]
@@ -33,6 +33,8 @@ _SPZ_AXES = np.array([1, -1, -1], np.float32)
 _SPZ_MAGIC, _FIRST_UNPACKED_SPZ = b"NGSP", 4
 # The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
 CONSTANT_HARMONIC = 0.28209479
+# Numbers of harmonics of the degrees 0 to 3, without the constant.
+_HARMONICS = (0, 3, 8, 15)
 # Splats with a larger ratio of the longest to the shortest axis are not isotropic.
 _ISOTROPY = 1.01
 # Prefix of the column with the nodes at a level; the level's index follows.
@@ -65,6 +67,9 @@ class SplatLike(Protocol):
 
     @property
     def colours(self) -> Any: ...
+
+    @property
+    def ellipsoids(self) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -131,16 +136,17 @@ class SplatLabels:
 
 @dataclass(frozen=True)
 class Splats:
-    """Splats read from a file, as isotropic Gaussians.
+    """Splats read from a file.
 
     Attributes:
         means: [N, 3] float32, metres.
-        log_radii: [N] float32, natural logarithm of the standard deviation in metres.
+        log_radii: [N] float32, natural logarithm of the standard deviation in metres, the mean of
+            the axes' logarithms.
         opacity_logits: [N] float32.
         colours: [N, 3] float32, RGB.
         extra: additional columns [N] by name, such as `submap` (int32) or those of `labels`.
-        shapes: [N, 6] float32 covariances of anisotropic splats relative to the squared radius, as
-            in `relative_covariances`; None if all splats are isotropic.
+        ellipsoids: shapes and harmonics; None if all splats are isotropic and look the same from
+            everywhere.
     """
 
     means: NDArray[np.float32]
@@ -148,7 +154,7 @@ class Splats:
     opacity_logits: NDArray[np.float32]
     colours: NDArray[np.float32]
     extra: dict[str, NDArray] = field(default_factory=dict)
-    shapes: NDArray[np.float32] | None = None
+    ellipsoids: SplatShapes | None = None
 
     def __len__(self) -> int:
         return len(self.means)
@@ -224,12 +230,30 @@ def export_splats(
     else:
         cloud = _open3d_cloud(path, splats, clamped=True)
         if Path(path).suffix == ".spz":
-            positions = cloud.point["positions"].numpy() * _SPZ_AXES
-            cloud.point["positions"] = open3d().core.Tensor(positions)
+            _reverse_axes(cloud)
         _write(path, cloud)
 
 
+def _reverse_axes(cloud: Any) -> None:
+    """Convert a point cloud to the axes of .spz, which Open3D does not do."""
+    tensor = open3d().core.Tensor
+    point = cloud.point
+    harmonics = np.zeros((len(point["scale"]), 0, 3), np.float32)
+    if "f_rest" in point:
+        harmonics = point["f_rest"].numpy()
+    shapes = SplatShapes(point["scale"].numpy(), point["rot"].numpy(), harmonics)
+    reversed_shapes = shapes.with_reversed_axes()
+    point["positions"] = tensor(point["positions"].numpy() * _SPZ_AXES)
+    point["rot"] = tensor(reversed_shapes.rotations)
+    if "f_rest" in point:
+        point["f_rest"] = tensor(reversed_shapes.harmonics)
+
+
 def _write_spz_version_2(path: Path, splats: SplatLike) -> None:
+    if splats.ellipsoids is not None:
+        raise RunFolderError(
+            f"cannot write {path}: version 2 is written for isotropic splats only; use version 4"
+        )
     colours = np.clip(_array(splats.colours), 0.0, 1.0)
     try:
         content = spz_version_2(
@@ -265,8 +289,7 @@ def is_splat_file(path: PathLike) -> bool:
 def read_splats(path: PathLike) -> Splats:
     """Read a `.ply`, `.splat` or `.spz` file; columns are found by name.
 
-    The radius of an anisotropic splat is the geometric mean of its axes. Spherical harmonics of
-    degree > 0 are dropped. The axes of a `.spz` file are converted to those of `.ply`.
+    The axes of a `.spz` file are converted to those of `.ply`.
 
     Raises:
         DatasetError: the file is missing.
@@ -294,12 +317,10 @@ def read_splats(path: PathLike) -> Splats:
             )
     if Path(path).suffix == ".spz":
         columns["positions"] = columns["positions"] * _SPZ_AXES
-        if "rot" in columns:
-            columns["rot"] = columns["rot"] * np.array([1, 1, -1, -1], np.float32)
+    shapes = _shapes(path, columns)
+    if shapes is not None and Path(path).suffix == ".spz":
+        shapes = shapes.with_reversed_axes()
     log_scales = np.log(columns["scale"])
-    shapes = None
-    if "rot" in columns and (np.ptp(log_scales, axis=1) > np.log(_ISOTROPY)).any():
-        shapes = relative_covariances(columns["scale"], columns["rot"])
     # Every array is copied: if one of Open3D's own still exists at the end of the process, Open3D
     # prints statistics of its memory and changes the exit status to 1.
     return Splats(
@@ -312,8 +333,26 @@ def read_splats(path: PathLike) -> Splats:
             for name, column in columns.items()
             if name not in _OWN_ATTRIBUTES and column.shape[1:] == (1,)
         },
-        shapes=shapes,
+        ellipsoids=shapes,
     )
+
+
+def _shapes(path: PathLike, columns: Mapping[str, NDArray]) -> SplatShapes | None:
+    """The shapes of splats that are anisotropic or depend on the view, as in the file's axes."""
+    if "rot" not in columns:
+        return None
+    count, log_scales = len(columns["scale"]), np.log(columns["scale"])
+    harmonics = columns.get("f_rest", np.zeros((count, 0, 3)))
+    if harmonics.shape[1] not in _HARMONICS:
+        raise FormatError(
+            f"{path} has {harmonics.shape[1]} harmonics per colour, instead of "
+            f"{', '.join(map(str, _HARMONICS[:-1]))} or {_HARMONICS[-1]}; write it again"
+        )
+    if not harmonics.any() and (np.ptp(log_scales, axis=1) <= np.log(_ISOTROPY)).all():
+        return None
+    rotations = columns["rot"].astype(np.float32)
+    rotations[~(np.linalg.norm(rotations, axis=1) > 0)] = (1, 0, 0, 0)
+    return SplatShapes(log_scales.astype(np.float32), rotations, harmonics.astype(np.float32))
 
 
 def _check_spz(path: Path) -> None:
@@ -341,18 +380,25 @@ def _open3d_cloud(path: PathLike, splats: SplatLike, clamped: bool = False) -> A
     if len(means) == 0:
         raise RunFolderError(f"cannot write {path}: the map contains no Gaussians")
     o3d = open3d()
-    radii_m = np.exp(_array(splats.log_radii))[:, None]
+    scales_m = np.repeat(np.exp(_array(splats.log_radii))[:, None], 3, axis=1)
     colours = _array(splats.colours)
     if clamped:
         colours = np.clip(colours, 0.0, 1.0)
-    upright = np.zeros((len(means), 4), np.float32)
-    upright[:, 0] = 1.0
+    rotations = np.zeros((len(means), 4), np.float32)
+    rotations[:, 0] = 1.0
+    shapes, harmonics = splats.ellipsoids, {}
+    if shapes is not None:
+        scales_m, rotations = np.exp(_array(shapes.log_scales)), _array(shapes.rotations)
+        rotations = rotations / np.linalg.norm(rotations, axis=1, keepdims=True)
+        if shapes.harmonics.shape[1]:
+            harmonics["f_rest"] = _array(shapes.harmonics)
     attributes = {
         "positions": means,
         "f_dc": (colours - np.float32(0.5)) / np.float32(CONSTANT_HARMONIC),
         "opacity": _array(splats.opacity_logits)[:, None],
-        "scale": np.repeat(radii_m, 3, axis=1),
-        "rot": upright,
+        "scale": scales_m,
+        "rot": rotations,
+        **harmonics,
     }
     cloud = o3d.t.geometry.PointCloud()
     for name, values in attributes.items():

@@ -54,6 +54,10 @@ _MAX_STEPS_BEFORE = 15
 # The learning rates fall exponentially from this factor to one. In 6 steps per keyframe, this
 # reaches the PSNR of 9 steps with constant rates.
 _START_RATE = 4.0
+# Of ellipsoids, which are not yet fitted to the images.
+_ELLIPSOIDS_START_RATE = 8.0
+# Fewer steps in total are too few for them, however few keyframes there are.
+_ELLIPSOIDS_MIN_STEPS = 72
 
 
 def refine(
@@ -75,16 +79,20 @@ def refine(
     optimiser, count = submap.optimiser, len(submap.keyframes)
     steps_before, start_rate = optimiser.steps, 1.0
     if submap.gaussians.centred_colours:
-        optimiser.steps, start_rate = steps_before.clamp(max=_MAX_STEPS_BEFORE), _START_RATE
+        optimiser.steps = steps_before.clamp(max=_MAX_STEPS_BEFORE)
+        shapes = submap.gaussians.ellipsoids
+        start_rate = _START_RATE if shapes is None else _ELLIPSOIDS_START_RATE
     removed_steps = steps_before - optimiser.steps
     objective = Objective(
         adjust_poses=options.final_poses or options.bundle_adjustment,
         compare_features=True,
     )
     rounds, surfaces = options.final_iterations, None
+    if rounds and count and submap.gaussians.ellipsoids is not None:
+        rounds = max(rounds, -(-_ELLIPSOIDS_MIN_STEPS // count))
     if rounds:
         submap.gaussians = replace(submap.gaussians, centred_colours=False)
-    if options.final_on_surfaces and rounds:
+    if options.final_on_surfaces and rounds and submap.gaussians.ellipsoids is None:
         surfaces = Surfaces.of(submap.gaussians.means)
     for done in range(rounds):
         for number, index in enumerate(generator.permutation(count)):
@@ -95,4 +103,8 @@ def refine(
             next(steps, None)
         if surfaces is not None:
             submap.move(surfaces.project(submap.gaussians.means))
+    shapes = submap.gaussians.ellipsoids
+    if shapes is not None:
+        log_radii = shapes.log_scales.mean(dim=1)
+        submap.gaussians = replace(submap.gaussians, log_radii=log_radii)
     optimiser.steps = optimiser.steps + removed_steps

@@ -31,6 +31,7 @@ from toolkit.mapping.free_space import FreeSpace, contradicted_by_all, is_measur
 from toolkit.mapping.hole_filling import fill_all_holes
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window, wants_view
+from toolkit.mapping.merging import to_ellipsoids
 from toolkit.mapping.moving_objects import hide_moving_objects
 from toolkit.mapping.optimisation import KeyframeImages, MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
@@ -295,6 +296,8 @@ class Mapper:
         if self.options.fill_holes:
             with self._recorder.timed(Stage.HOLE_FILLING):
                 fill_all_holes(submap, self.view, self.densification)
+        if self.options.final_shape == "ellipsoids" and submap.gaussians.ellipsoids is None:
+            to_ellipsoids(submap, self.semantics.classes_of(submap.gaussians.features), 0)
         refine(submap, self._optimisation, self.options, self._generator, steps)
         self._clear_free_space(submap, T_map_cameras)
         self.densification.prune(submap)

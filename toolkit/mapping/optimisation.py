@@ -37,7 +37,6 @@ _RATE = 1e-3
 _DECAY, _DECAY_SQUARED, _EPSILON = 0.9, 0.99, 1e-8
 # Learning rates of keyframe poses in bundle adjustment.
 _POSE_RATE_M, _POSE_RATE_RAD = 1e-4, 5e-5
-_GEOMETRY_AND_COLOUR = ("means", "log_radii", "opacity_logits", "colours")
 
 
 class KeyframeImages:
@@ -153,8 +152,9 @@ class MapOptimisation:
             submap.gaussians, keyframe, progress, objective.compare_features
         )
         with self._recorder.timed(Stage.MAP_UPDATE):
-            names = (*_GEOMETRY_AND_COLOUR, *(("features",) if with_features else ()))
-            named = {name: getattr(gradients, name) for name in names}
+            named = gradients.by_name()
+            if not with_features:
+                del named["features"]
             self._adam.step(
                 submap.optimiser, submap.gaussians, named, gradients.ids, objective.rate_factor
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from toolkit.gaussians.options import SeedingOptions
 from toolkit.losses.options import RgbdLossWeights
@@ -83,6 +83,9 @@ class MapperOptions:
     # Unconstrained, renderings gain 0.1 to 0.4 dB, but walls become a third thicker than unrefined.
     final_on_surfaces: bool = True
     """Constrain centres to their surfaces during the final refinement."""
+    final_shape: Literal["spheres", "ellipsoids"] = "spheres"
+    """Shape of the Gaussians of the finished map. Ellipsoids are merged from the spheres on which
+    the camera was tracked, and are rendered as 3DGS does."""
     fill_holes: bool = True
     """Seed Gaussians where no keyframe measured depth: from frames between keyframes, and at an
     inferred depth before the final refinement."""

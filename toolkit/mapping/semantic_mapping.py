@@ -210,6 +210,13 @@ class SemanticMapping:
         colours = Palette(self._loss.code.taxonomy).classes[1:]
         return torch.from_numpy(colours.astype(np.float32) / 255.0)
 
+    def classes_of(self, features: Tensor) -> Tensor:
+        """Return the most likely class ids [N] of features [N, S]; 0 where there is none."""
+        if self._loss is None:
+            return torch.zeros(len(features), dtype=torch.int64, device=features.device)
+        values = features.T
+        return (self._softmax(values).argmax(0) + 1) * self._loss.code.is_labelled(values)
+
     def _softmax(self, values: Tensor) -> Tensor:
         """Class probabilities [C, P] for values [S, P]; zero for classes that were not observed."""
         assert self._loss is not None

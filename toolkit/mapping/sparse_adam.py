@@ -22,9 +22,10 @@ class LearningRates:
         means: of the centres, in radii of the Gaussian.
         log_radii, opacity_logits: of the logarithms of the radii, and of the opacity logits.
         colours: for colours in [0, 1].
+        log_scales, rotations, harmonics: of the shapes of ellipsoids.
         features: of the semantic code, in logits.
-        epsilon: Adam's epsilon. Gradients well below it have little effect, so that Gaussians that
-            fit the images do not move.
+        epsilon, ellipsoid_epsilon: Adam's epsilon for spheres and ellipsoids. Gradients well below
+            it have little effect, so that Gaussians that fit the images do not move.
         settle_steps: number of iterations of a Gaussian after which its learning rates are halved.
             0 keeps them constant.
     """
@@ -33,9 +34,17 @@ class LearningRates:
     log_radii: float = 0.01
     opacity_logits: float = 0.05
     colours: float = 0.01
+    log_scales: float = 0.01
+    rotations: float = 0.01
+    harmonics: float = 0.002
     features: float = 1.0
     epsilon: float = 0.05
+    ellipsoid_epsilon: float = 0.005
     settle_steps: float = 120.0
+
+    def epsilon_of(self, cloud: GaussianCloud) -> float:
+        """Adam's epsilon for a cloud."""
+        return self.epsilon if cloud.ellipsoids is None else self.ellipsoid_epsilon
 
 
 class SparseAdam:
@@ -64,10 +73,10 @@ class SparseAdam:
         if module is None:
             self._step_torch(state, cloud, gradients, ids, rate_factor)
             return
-        (first, second), groups = state.moments(cloud), []
+        (first, second), parameters, groups = state.moments(cloud), cloud.tensors(), []
         # Centres first: their unit is the radius before this step, as in `_step_torch`.
         for name, gradient in sorted(gradients.items(), key=lambda item: item[0] != "means"):
-            parameter = getattr(cloud, name)
+            parameter = parameters[name]
             width = parameter[0].numel() if len(parameter) else 1
             if width == 0:
                 continue
@@ -75,7 +84,7 @@ class SparseAdam:
             unit = address(cloud.log_radii) if name == "means" else 0
             rate = rate_factor * getattr(self.rates, name)
             groups.append((*(address(t) for t in tensors), width, rate, unit))
-        settings = (BETA1, BETA2, self.rates.epsilon, self.rates.settle_steps)
+        settings = (BETA1, BETA2, self.rates.epsilon_of(cloud), self.rates.settle_steps)
         module.adam(address(ids), len(ids), address(state.steps), groups, settings)
 
     def _step_torch(
@@ -92,6 +101,7 @@ class SparseAdam:
         settled = 1.0 / (1.0 + steps / settle) if settle else torch.ones_like(steps)
         radii = cloud.log_radii[ids].exp()
         first_moments, second_moments = state.moments(cloud)
+        parameters = cloud.tensors()
         for name, gradient in gradients.items():
             first, second = first_moments[name], second_moments[name]
             if name == "means":
@@ -103,5 +113,5 @@ class SparseAdam:
             rate = rate_factor * getattr(self.rates, name) * settled / (1.0 - BETA1**steps)
             if name == "means":
                 rate = rate * radii
-            scale = (v / (1.0 - BETA2**steps)[wide]).sqrt() + self.rates.epsilon
-            getattr(cloud, name)[ids] -= rate[wide] * m / scale
+            scale = (v / (1.0 - BETA2**steps)[wide]).sqrt() + self.rates.epsilon_of(cloud)
+            parameters[name][ids] -= rate[wide] * m / scale

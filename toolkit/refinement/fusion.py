@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
@@ -99,7 +99,7 @@ class FusedMap:
             cloud = cloud.select(kept).transformed(submap.T_world_submap)
         exposure = self.exposures[number]
         if exposure != IDENTITY:
-            cloud = replace(cloud, colours=exposure.apply(cloud.colours))
+            cloud = cloud.recoloured(exposure.apply)
         self._cache[number] = cloud
         while len(self._cache) > 1 and sum(map(_megabytes, self._cache.values())) > _CACHE_MB:
             self._cache.popitem(last=False)
@@ -121,7 +121,8 @@ class FusedMap:
         if number not in self._boxes:
             cloud = self.part(number)
             means = cloud.means.double().numpy()
-            reach = _REACH * cloud.radii_m.double().numpy()[:, None]
+            longest = cloud.as_ellipsoids().log_scales.amax(dim=1).exp()
+            reach = _REACH * longest.double().numpy()[:, None]
             empty = np.zeros((1, 3))
             low = (means - reach).min(axis=0) if len(means) else empty[0]
             high = (means + reach).max(axis=0) if len(means) else empty[0]

@@ -38,6 +38,19 @@ class GaussianGradients:
     T_camera_map: Tensor
     ellipsoids: Ellipsoids | None = None
 
+    def by_name(self) -> dict[str, Tensor]:
+        """Return those of the optimised tensors of `GaussianCloud.tensors`."""
+        named = {
+            "means": self.means,
+            "opacity_logits": self.opacity_logits,
+            "features": self.features,
+        }
+        if self.colours is not None:
+            named["colours"] = self.colours
+        if self.ellipsoids is None:
+            return named | {"log_radii": self.log_radii}
+        return named | self.ellipsoids.tensors()
+
     def to(self, device: torch.device) -> GaussianGradients:
         """Return the gradients on a device."""
         return GaussianGradients(

@@ -15,7 +15,7 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.ellipsoids import Ellipsoids, harmonic_basis, rotation_matrices
 from toolkit.geometry.camera import Camera
-from toolkit.native.constants import BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, NEAR_M, TILE
+from toolkit.native.constants import BASE_CHANNELS, DEPTH_SUM, MAX_ALPHA, MIN_ALPHA, NEAR_M, TILE
 from toolkit.rendering.backend import GaussianGradients, tile_counts
 
 # The Jacobian of ellipsoids is evaluated at most this far from the image's centre, in half sizes.
@@ -47,7 +47,7 @@ def composite(
     cloud, points = gaussians.select(order), points[order]
     x, y, z = points.unbind(1)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    footprint, gain = _footprint(cloud, camera, points, T_camera_map[:3, :3])
+    footprint, gain, depth_covariance = _footprint(cloud, camera, points, T_camera_map[:3, :3])
     opacity = cloud.opacity_logits.sigmoid() * gain
     values = [seen_colours(cloud, T_camera_map), z[:, None], torch.ones_like(z)[:, None]]
     if features is not None:
@@ -58,6 +58,7 @@ def composite(
         support = (2.0 * torch.log((opacity / MIN_ALPHA).clamp(min=1.0))).sqrt()
         across, down = (support * footprint[:, k, k].sqrt() + 1e-3 for k in range(2))
     conic = torch.linalg.inv(footprint)
+    slope = (conic @ depth_covariance[:, :, None])[:, :, 0]
     rows, columns = tile_counts(camera)
     strips = []
     for row in range(rows):
@@ -77,24 +78,32 @@ def composite(
                 indexing="ij",
             )
             weights = _weights(gridded, u[inside], v[inside], conic[inside], opacity[inside])
-            tiles.append(torch.einsum("nyx,nc->cyx", weights, value[inside]))
+            tile = torch.einsum("nyx,nc->cyx", weights, value[inside])
+            dx, dy = gridded[1] - u[inside, None, None], gridded[0] - v[inside, None, None]
+            inclined = slope[inside, 0, None, None] * dx + slope[inside, 1, None, None] * dy
+            depth = torch.zeros_like(tile)
+            depth[DEPTH_SUM] = (weights * inclined).sum(dim=0)
+            tiles.append(tile + depth)
         strips.append(torch.cat(tiles, dim=2))
     return torch.cat(strips, dim=1)
 
 
 def _footprint(
     cloud: GaussianCloud, camera: Camera, points: Tensor, R_camera_map: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return covariances [n, 2, 2] in squared pixels, and factors [n] of the opacities.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return covariances [n, 2, 2] in squared pixels, factors [n] of the opacities, covariances
+    [n, 2] of the pixel and the depth.
 
-    A sphere remains round; an ellipsoid is projected by the Jacobian at its centre, which is
-    evaluated near the image at most, as in 3DGS.
+    A sphere remains round, and its depth is that of its centre. An ellipsoid is projected by the
+    Jacobian at its centre, which is evaluated near the image at most, as in 3DGS; its depth is the
+    mean depth of the Gaussian at the pixel.
     """
     identity = torch.eye(2, dtype=points.dtype, device=points.device)
     z = points[:, 2]
     if cloud.ellipsoids is None:
         sigma = camera.focal * cloud.log_radii.exp() / z
         bare = sigma[:, None, None] ** 2 * identity
+        with_depth = bare.new_zeros(len(points), 2)
     else:
         x, y = (points[:, k] / z for k in range(2))
         x = _limited(x, camera.fx, camera.cx, camera.width)
@@ -109,14 +118,16 @@ def _footprint(
         )
         shapes = cloud.ellipsoids
         axes = rotation_matrices(shapes.rotations) * shapes.log_scales.exp()[:, None]
-        M = J @ R_camera_map @ axes
+        M, Mz = J @ R_camera_map @ axes, R_camera_map[2] @ axes
         bare = M @ M.transpose(1, 2)
+        with_depth = (M @ Mz[:, :, None])[:, :, 0]
     if cloud.low_pass.variance_px2 == 0:
-        return bare, torch.ones_like(z)
+        return bare, torch.ones_like(z), with_depth
     filtered = bare + cloud.low_pass.variance_px2 * identity
     if not cloud.low_pass.compensated:
-        return filtered, torch.ones_like(z)
-    return filtered, (torch.linalg.det(bare).clamp(min=0) / torch.linalg.det(filtered)).sqrt()
+        return filtered, torch.ones_like(z), with_depth
+    gain = (torch.linalg.det(bare).clamp(min=0) / torch.linalg.det(filtered)).sqrt()
+    return filtered, gain, with_depth
 
 
 def _limited(slope: Tensor, focal: float, centre: float, size: int) -> Tensor:

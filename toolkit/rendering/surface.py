@@ -21,6 +21,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.native import address, kernels_for
 from toolkit.native.constants import (
     BASE_CHANNELS,
+    DEPTH_SUM,
     MAX_DEPTH_STEP,
     MAX_SURFACE_CORRECTION,
     MIN_NORMAL,
@@ -91,8 +92,20 @@ def render_surface(
     options = options or RenderOptions()
     channels = gaussians.features if options.features else None
     forward_pass = backend.forward(gaussians, camera, T_camera_map, channels, None, centres=True)
-    depth_m = surface_depth(forward_pass.images, camera, T_camera_map, options.min_silhouette)
+    if gaussians.ellipsoids is None:
+        images = forward_pass.images
+        depth_m = surface_depth(images, camera, T_camera_map, options.min_silhouette)
+    else:
+        depth_m = _mean_depth(forward_pass.images, options.min_silhouette)
     return SurfaceView(forward_pass, depth_m, camera, T_camera_map, gaussians.centred_colours)
+
+
+def _mean_depth(images: Tensor, min_silhouette: float) -> Tensor:
+    """The surface depth [H, W] of ellipsoids, whose depth follows their planes."""
+    silhouette = images[SILHOUETTE]
+    solid = silhouette >= min_silhouette
+    safe = torch.where(solid, silhouette, torch.ones_like(silhouette))
+    return torch.where(solid, images[DEPTH_SUM] / safe, torch.zeros_like(safe))
 
 
 def surface_depth(

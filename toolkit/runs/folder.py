@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from toolkit import __version__
 from toolkit.errors import FormatError, RunFolderError, SettingsError
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
+from toolkit.gaussians.ellipsoids import SHAPES, Ellipsoids
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
@@ -360,16 +361,15 @@ def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: it is not a splat file, or its splats are anisotropic.
+        FormatError: it is not a splat file.
     """
     splats = read_splats(path)
-    if splats.shapes is not None:
-        raise FormatError(
-            f"{path} has anisotropic splats, of which this renderer would show spheres; show it "
-            "with semsplat view"
-        )
     arrays = (splats.means, splats.log_radii, splats.opacity_logits, splats.colours)
     means, log_radii, opacity_logits, colours = (
         torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in arrays
     )
-    return GaussianCloud(means, log_radii, opacity_logits, colours, torch.zeros(len(means), 0))
+    cloud = GaussianCloud(means, log_radii, opacity_logits, colours, torch.zeros(len(means), 0))
+    if splats.ellipsoids is None:
+        return cloud
+    tensors = (torch.from_numpy(getattr(splats.ellipsoids, name)) for name in SHAPES)
+    return replace(cloud, ellipsoids=Ellipsoids(*tensors), low_pass=LOW_PASS_3DGS)

@@ -112,8 +112,7 @@ class LengthUnit:
         """Gaussians in metres, in this unit."""
         if self.is_metre:
             return cloud
-        log_radii = cloud.log_radii + math.log(self.per_metre)
-        return replace(cloud, means=cloud.means * self.per_metre, log_radii=log_radii)
+        return cloud.scaled(self.per_metre)
 
     def submap(self, submap: Submap) -> Submap:
         """A submap in metres, in this unit."""

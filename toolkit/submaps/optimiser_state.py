@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.rows import append_rows, select_rows
 
 Moments = dict[str, Tensor]
@@ -38,7 +38,7 @@ class OptimiserState:
         """
         if self._moments is None:
             first, second = (
-                {name: torch.zeros_like(getattr(cloud, name)) for name in PARAMETERS}
+                {name: torch.zeros_like(tensor) for name, tensor in cloud.tensors().items()}
                 for _ in range(2)
             )
             self._moments = first, second
@@ -93,9 +93,9 @@ class OptimiserState:
 
         restored = cls(tensor("steps"))
         if "first_means" in arrays:
+            names = [name.removeprefix("first_") for name in arrays if name.startswith("first_")]
             first, second = (
-                {name: tensor(f"{kind}_{name}") for name in PARAMETERS}
-                for kind in ("first", "second")
+                {name: tensor(f"{kind}_{name}") for name in names} for kind in ("first", "second")
             )
             restored._moments = first, second
         return restored

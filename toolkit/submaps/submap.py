@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud, LowPass
+from toolkit.gaussians.ellipsoids import SHAPES
 from toolkit.gaussians.rows import append_rows, select_rows
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
@@ -82,9 +83,12 @@ class Submap:
     def append(self, seeds: GaussianCloud, keyframe: Keyframe) -> None:
         """Add Gaussians that a keyframe seeded."""
         seeds, cloud = seeds.to(self.device), self.gaussians
-        self.gaussians = GaussianCloud(
-            *(append_rows(getattr(cloud, name), getattr(seeds, name)) for name in PARAMETERS),
-            centred_colours=cloud.centred_colours,
+        if cloud.ellipsoids is not None:
+            shapes = seeds.as_ellipsoids().with_degree(cloud.ellipsoids.degree)
+            seeds = replace(seeds, ellipsoids=shapes)
+        added = seeds.tensors()
+        self.gaussians = cloud.with_tensors(
+            {name: append_rows(tensor, added[name]) for name, tensor in cloud.tensors().items()}
         )
         self.optimiser.extend(len(seeds))
         seeded_by = self.seeded_by.new_full((len(seeds),), keyframe.index)
@@ -92,11 +96,8 @@ class Submap:
 
     def remove(self, mask: Tensor) -> None:
         """Remove the Gaussians in a mask [N]."""
-        kept, cloud = (~mask).nonzero().squeeze(1), self.gaussians
-        self.gaussians = GaussianCloud(
-            *(select_rows(getattr(cloud, name), kept) for name in PARAMETERS),
-            centred_colours=cloud.centred_colours,
-        )
+        kept = (~mask).nonzero().squeeze(1)
+        self.gaussians = self.gaussians.mapped(lambda tensor: select_rows(tensor, kept))
         self.optimiser.keep(kept)
         self.seeded_by = select_rows(self.seeded_by, kept)
 
@@ -133,7 +134,8 @@ class Submap:
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values for `from_state`; shared, not copied."""
         arrays = {
-            f"gaussians/{name}": getattr(self.gaussians, name).cpu().numpy() for name in PARAMETERS
+            f"gaussians/{name}": tensor.cpu().numpy()
+            for name, tensor in self.gaussians.tensors().items()
         }
         arrays |= {f"optimiser/{name}": array for name, array in self.optimiser.state().items()}
         arrays |= {
@@ -147,6 +149,7 @@ class Submap:
             "number": self.number,
             "keyframes": [k.values() for k in self.keyframes],
             "centred_colours": self.gaussians.centred_colours,
+            "low_pass": asdict(self.gaussians.low_pass),
         }
 
     @classmethod
@@ -161,6 +164,12 @@ class Submap:
         def tensor(name: str) -> Tensor:
             return torch.from_numpy(np.array(arrays[name])).to(device)
 
+        names = [n for n in (*PARAMETERS, *SHAPES) if f"gaussians/{n}" in arrays]
+        cloud = replace(
+            GaussianCloud.empty(),
+            centred_colours=bool(values["centred_colours"]),
+            low_pass=LowPass(**values.get("low_pass", {})),
+        ).with_tensors({n: tensor(f"gaussians/{n}") for n in names})
         keyframes = [
             Keyframe.from_state(arrays_below(arrays, f"keyframes/{number}/"), value)
             for number, value in enumerate(values["keyframes"])
@@ -168,10 +177,7 @@ class Submap:
         return cls(
             number=int(values["number"]),
             T_world_submap=np.array(arrays["T_world_submap"]),
-            gaussians=GaussianCloud(
-                *(tensor(f"gaussians/{n}") for n in PARAMETERS),
-                centred_colours=bool(values["centred_colours"]),
-            ),
+            gaussians=cloud,
             keyframes=keyframes,
             seeded_by=tensor("seeded_by"),
             descriptors=np.array(arrays["descriptors"]),

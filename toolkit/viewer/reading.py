@@ -12,6 +12,8 @@ from toolkit.errors import FormatError, RunFolderError
 from toolkit.evaluation.frame_states import summary_lines
 from toolkit.evaluation.run_loops import accepted_edges
 from toolkit.exports.selection import SelectedGaussians, ground_of, select
+from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.io.splat_shapes import relative_covariances
 from toolkit.io.splats import SplatLabels, Splats, is_splat_file, read_splats
 from toolkit.loops.log import read_loop_log
 from toolkit.runs.finished import FinishedRun
@@ -51,6 +53,7 @@ def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScen
         sigmas_m=gaussians.radii_m.numpy(),
         opacities=gaussians.opacities.numpy(),
         rgb=selection.rgb,
+        shapes=_shapes(gaussians),
         levels=None if labels is None else labels.levels,
         confidence=None if labels is None else labels.confidence,
         submap=None if selection.submap is None else selection.submap.astype(np.int32),
@@ -78,6 +81,14 @@ def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScen
     )
 
 
+def _shapes(gaussians: GaussianCloud) -> NDArray[np.float32] | None:
+    """Covariances [N, 6] relative to the squared radius, None for spheres."""
+    shapes = gaussians.ellipsoids
+    if shapes is None:
+        return None
+    return relative_covariances(shapes.log_scales.exp().numpy(), shapes.rotations.numpy())
+
+
 def file_scene(path: Path, content: ShownContent) -> ViewerScene:
     """Describe a splat file, with classes if a taxonomy lies beside it."""
     splats = read_splats(path)
@@ -99,7 +110,7 @@ def _file_splats(splats: Splats) -> ShownSplats:
         sigmas_m=np.exp(splats.log_radii),
         opacities=opacities.astype(np.float32),
         rgb=np.rint(255.0 * np.clip(splats.colours, 0.0, 1.0)).astype(np.uint8),
-        shapes=splats.shapes,
+        shapes=None if splats.ellipsoids is None else splats.ellipsoids.relative_covariances(),
         levels=None if labels is None else labels.levels,
         confidence=None if labels is None else labels.confidence,
         submap=None if submap is None else submap.astype(np.int32),

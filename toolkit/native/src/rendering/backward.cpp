@@ -51,7 +51,8 @@ SEMSPLAT_INLINE int groups_of(int features) { return 1 + (features + GROUP - 1) 
 // Alpha of an entry at the pixels of one part of a block: zero below MIN_ALPHA, at most MAX_ALPHA.
 template <Shape SHAPE>
 SEMSPLAT_INLINE Floats alpha_of(const TileEntry& e, int block, int part) {
-    const Floats raw = gaussian_of<SHAPE>(e, block, part);
+    Floats depth;
+    const Floats raw = gaussian_of<SHAPE>(e, block, part, depth);
     return keep(ge(raw, all(MIN_ALPHA)), minimum(raw, all(MAX_ALPHA)));
 }
 
@@ -175,11 +176,13 @@ void sweep_all_features(BackwardScratch& scratch, uint32_t blocks, int S, float*
     });
 }
 
-// Adds the moments of `grad` at the pixels of one part of a block.
-SEMSPLAT_INLINE void add_ellipsoid_moments(const TileEntry& e, int block, int part, Floats grad, Floats* moments,
-                                           Floats* mixed) {
+// Adds the moments of `grad` at the pixels of one part of a block, and those of the depth's gradient.
+SEMSPLAT_INLINE void add_ellipsoid_moments(const TileEntry& e, int block, int part, Floats grad, Floats by_depth,
+                                           Floats* moments, Floats* mixed) {
     Floats s, t;
     whitened(e, block, part, s, t);
+    mixed[Z_S] = fma(by_depth, s, mixed[Z_S]);
+    mixed[Z_T] = fma(by_depth, t, mixed[Z_T]);
     const Floats gs = grad * s, gt = grad * t;
     moments[E] = moments[E] + grad;
     moments[E_S] = moments[E_S] + gs;
@@ -249,6 +252,11 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
             for (int c = 0; c < (MOVE && FEW ? GROUP * FUSED : (int)GROUP); ++c) {
                 dot = fma(load(scratch.planar[c][block] + at), all(values[c]), dot);
             }
+            if (!SPHERE) {  // the depth of the pixel instead of that of the centre
+                Floats depth;
+                gaussian_of<SHAPE>(e, block, part, depth);
+                dot = fma(load(scratch.planar[GRAD_Z - GRAD_R][block] + at), depth - all(e.z), dot);
+            }
             add_groups<1, 0, 2>(scratch.group(block, part, 0), values, w, first_sums, dot);
             add_groups<OTHERS, MOVE && !FEW ? OTHERS : 0, CHAINS>(scratch.group(block, part, 1), values + GROUP, w,
                                                                   sums, dot);
@@ -258,7 +266,7 @@ SEMSPLAT_INLINE void differentiate_pair(BackwardScratch& scratch, const TileEntr
             store(behind_at, fma(w, dot, behind));
             store(T_at, T);
             if (!SPHERE) {
-                add_ellipsoid_moments(e, block, part, grad, moments, mixed);
+                add_ellipsoid_moments(e, block, part, grad, w * load(scratch.planar[GRAD_Z - GRAD_R][block] + at), moments, mixed);
                 continue;
             }
             const Floats dy = load_rows(COUNTING + block_row(block) + LANES / 4 * part) - all(e.v);
@@ -314,7 +322,7 @@ void differentiate_tile(const Gaussians& map, const Rasterisation& state, int ti
         for (int j = 0; j < end - start; ++j) {
             if (j + PREFETCHED < end - start) __builtin_prefetch(&state.splats[state.pair_splat[begin + start + j + PREFETCHED]]);
             const int splat = state.pair_splat[begin + start + j];
-            prepare<SHAPE>(state.splats[splat], (float)left, (float)top, scratch.entries[j]);
+            prepare<SHAPE>(state, splat, (float)left, (float)top, scratch.entries[j]);
             scratch.entries[j].splat = splat;
             scratch.entries[j].slot = state.pair_slot[begin + start + j];
         }

@@ -1,5 +1,6 @@
 // Ellipsoids as 3DGS renders them: the covariance Sigma = Q S S Q^T of axes S and rotation Q projects to
-// M M^T with M = J R Q S, where J is the Jacobian of the projection at the centre.
+// M M^T with M = J R Q S, where J is the Jacobian of the projection at the centre. The depth is linear in
+// the pixel: the mean depth of the Gaussian at that pixel, which lies on the plane of a flat ellipsoid.
 #include <algorithm>
 #include <cmath>
 
@@ -21,8 +22,9 @@ struct EllipsoidView {
     float axes[3], Q[9], quaternion[4], length;
     float T[6];                // J R
     float QS[9];
-    float M[6];
+    float M[6], Mz[3];
     float xx, xy, yy;          // covariance in squared pixels, with the low-pass
+    float zx, zy;              // covariance of the depth and the pixel
     float bare, determinant;   // of the covariance without and with it
     float gain;                // factor of the opacity
 };
@@ -96,6 +98,7 @@ bool shape(const Gaussians& map, const Rasterisation& state, int64_t i, Ellipsoi
     multiply(J, state.R, 2, e.T);
     for (int k = 0; k < 9; ++k) e.QS[k] = e.Q[k] * e.axes[k % 3];
     multiply(e.T, e.QS, 2, e.M);
+    multiply(state.R + 6, e.QS, 1, e.Mz);
     const float *m = e.M, *n = e.M + 3, s = state.low_pass.variance;
     // The determinant of M M^T as a sum of squares, which does not cancel for thin ellipses.
     const float a = m[1] * n[2] - m[2] * n[1], b = m[2] * n[0] - m[0] * n[2], c = m[0] * n[1] - m[1] * n[0];
@@ -105,6 +108,8 @@ bool shape(const Gaussians& map, const Rasterisation& state, int64_t i, Ellipsoi
     e.xx = xx + s;
     e.yy = yy + s;
     e.xy = m[0] * n[0] + m[1] * n[1] + m[2] * n[2];
+    e.zx = m[0] * e.Mz[0] + m[1] * e.Mz[1] + m[2] * e.Mz[2];
+    e.zy = n[0] * e.Mz[0] + n[1] * e.Mz[1] + n[2] * e.Mz[2];
     e.gain = state.low_pass.compensated && s > 0 ? std::sqrt(e.bare / e.determinant) : 1.0f;
     return e.determinant > MIN_SIGMA_PX * MIN_SIGMA_PX * (e.xx + e.yy) && e.determinant < 1e30f;
 }
@@ -124,7 +129,7 @@ float direction_of(const Gaussians& map, const Rasterisation& state, int64_t i, 
 
 }  // namespace
 
-bool project_ellipsoid(const Gaussians& map, const Rasterisation& state, int64_t i, Splat& splat) {
+bool project_ellipsoid(const Gaussians& map, const Rasterisation& state, int64_t i, Splat& splat, Slope& slope) {
     const Pinhole& cam = state.camera;
     EllipsoidView e;
     if (!place(map, state, i, e) || !may_overlap(map, state, i, e) || !shape(map, state, i, e)) return false;
@@ -148,6 +153,8 @@ bool project_ellipsoid(const Gaussians& map, const Rasterisation& state, int64_t
     splat.shape_c = std::sqrt(0.5f / e.yy);
     splat.opacity = opacity;
     splat.support = support;
+    slope.along_s = 2 * (splat.shape_a * e.zx + splat.shape_b * e.zy);
+    slope.along_t = 2 * splat.shape_c * e.zy;
     float direction[3], basis[MAX_HARMONICS], colour[3];
     direction_of(map, state, i, direction);
     harmonics(map.harmonic_count, direction, basis);
@@ -242,7 +249,13 @@ void differentiate_ellipsoid(const Gaussians& map, const Rasterisation& state, i
     // Half the inverse covariance is F^T F, and the exponent -|F d|^2. With the moments W of F d,
     // dL/dCovariance = 2 F^T W F, hence dL/dM = 4 F^T W (F M), where nothing large cancels.
     const float F0 = splat.shape_a, F1 = splat.shape_b, F2 = splat.shape_c;
-    const float gu = 2 * F0 * sums[E_S], gv = 2 * (F1 * sums[E_S] + F2 * sums[E_T]);
+    float gu = 2 * F0 * sums[E_S], gv = 2 * (F1 * sums[E_S] + F2 * sums[E_T]);
+    // The depth is z + q d with q = C c, the inverse covariance C and c = M Mz^T; y = dL/dc.
+    const Slope& slope = state.slopes[(size_t)i];
+    const float qx = F0 * slope.along_s, qy = F1 * slope.along_s + F2 * slope.along_t;
+    const float yx = 2 * F0 * sums[MIXED + Z_S], yy = 2 * (F1 * sums[MIXED + Z_S] + F2 * sums[MIXED + Z_T]);
+    gu -= qx * sums[GRAD_Z];
+    gv -= qy * sums[GRAD_Z];
     const float W0 = 4 * sums[E_S_S], W1 = 4 * sums[MIXED + E_S_T], W2 = 4 * sums[MIXED + E_T_T];
     // The low-pass: half of d log(bare / det), where det = bare + s (xx + yy) + const.
     const bool compensated = state.low_pass.compensated && state.low_pass.variance > 0;
@@ -250,16 +263,19 @@ void differentiate_ellipsoid(const Gaussians& map, const Rasterisation& state, i
     const float by_trace = compensated ? -0.5f * sums[E] * state.low_pass.variance / e.determinant : 0.0f;
     const float bare_xx = e.xx - state.low_pass.variance, bare_yy = e.yy - state.low_pass.variance;
     const float *m = e.M, *n = e.M + 3;
-    float by_M[6];
+    float by_M[6], by_Mz[3];
     for (int k = 0; k < 3; ++k) {
+        const float q_M = qx * m[k] + qy * n[k], y_M = yx * m[k] + yy * n[k];
         const float s = F0 * m[k] + F1 * n[k], t = F2 * n[k];
         const float by_s = W0 * s + W1 * t, by_t = W1 * s + W2 * t;
         // bare = xx yy - xy^2 of the covariance without low-pass.
         const float own_m = 2 * ((by_trace + by_bare * bare_yy) * m[k] - by_bare * e.xy * n[k]);
         const float own_n = 2 * ((by_trace + by_bare * bare_xx) * n[k] - by_bare * e.xy * m[k]);
-        by_M[k] = F0 * by_s + own_m;
-        by_M[3 + k] = F1 * by_s + F2 * by_t + own_n;
-        out.log_scales[3 * i + k] = by_s * s + by_t * t + own_m * m[k] + own_n * n[k];
+        by_M[k] = F0 * by_s + own_m + yx * (e.Mz[k] - q_M) - qx * y_M;
+        by_M[3 + k] = F1 * by_s + F2 * by_t + own_n + yy * (e.Mz[k] - q_M) - qy * y_M;
+        by_Mz[k] = y_M;
+        out.log_scales[3 * i + k] =
+            by_s * s + by_t * t + own_m * m[k] + own_n * n[k] + 2 * y_M * (e.Mz[k] - q_M);
     }
     float by_T[6], by_QS[9], by_Q[9];
     for (int row = 0; row < 2; ++row) {
@@ -269,7 +285,10 @@ void differentiate_ellipsoid(const Gaussians& map, const Rasterisation& state, i
         }
     }
     for (int j = 0; j < 3; ++j) {
-        for (int k = 0; k < 3; ++k) by_QS[3 * j + k] = e.T[j] * by_M[k] + e.T[3 + j] * by_M[3 + k];
+        for (int k = 0; k < 3; ++k) {
+            by_QS[3 * j + k] = e.T[j] * by_M[k] + e.T[3 + j] * by_M[3 + k] + state.R[6 + j] * by_Mz[k];
+            pose[8 + j] += (double)by_Mz[k] * e.QS[3 * j + k];
+        }
     }
     for (int k = 0; k < 9; ++k) by_Q[k] = by_QS[k] * e.axes[k % 3];
     differentiate_rotation(e, by_Q, out.rotations + 4 * i);

@@ -73,14 +73,15 @@ int composite_block(ForwardScratch& scratch, int block, float* transmittance) {
         const TileEntry& e = scratch.entries[list.entry[n]];
         uint32_t bright = 0;
         for (int p = 0; p < PARTS; ++p) {
-            const Floats raw = gaussian_of<SHAPE>(e, block, p);
+            Floats depth;
+            const Floats raw = gaussian_of<SHAPE>(e, block, p, depth);
             const Floats alpha = keep(ge(raw, cut), minimum(raw, most));
             const Floats w = alpha * T[p];
             T[p] = fnma(alpha, T[p], T[p]);  // a single rounding; T - w is inaccurate for alpha near 1
             sums[0][p] = fma(w, all(e.r), sums[0][p]);
             sums[1][p] = fma(w, all(e.g), sums[1][p]);
             sums[2][p] = fma(w, all(e.b), sums[2][p]);
-            sums[3][p] = fma(w, all(e.z), sums[3][p]);
+            sums[3][p] = fma(w, depth, sums[3][p]);
             if (FEATURES) store(scratch.weights[n] + LANES * p, w);
             bright |= bits(ge(T[p], dark));
         }
@@ -155,8 +156,7 @@ void composite_tile(const Gaussians& map, Rasterisation& state, int tile, Forwar
         for (BlockList& list : scratch.lists) list.count = 0;
         for (int j = 0; j < n; ++j) {
             if (j + PREFETCHED < n) __builtin_prefetch(&state.splats[state.pair_splat[begin + start + j + PREFETCHED]]);
-            prepare<SHAPE>(state.splats[state.pair_splat[begin + start + j]], (float)left, (float)top,
-                    scratch.entries[j]);
+            prepare<SHAPE>(state, state.pair_splat[begin + start + j], (float)left, (float)top, scratch.entries[j]);
             for (uint32_t m = scratch.entries[j].blocks & alive; m; m &= m - 1) {
                 BlockList& list = scratch.lists[__builtin_ctz(m)];
                 list.entry[list.count++] = (uint8_t)j;

@@ -103,9 +103,12 @@ int project_chunk(const Gaussians& map, const Rasterisation& state, int64_t begi
     return written;
 }
 
-int project_ellipsoids(const Gaussians& map, const Rasterisation& state, int64_t begin, int count, Splat* out) {
+int project_ellipsoids(const Gaussians& map, const Rasterisation& state, int64_t begin, int count, Splat* out,
+                       Slope* slopes) {
     int written = 0;
-    for (int64_t i = begin; i < begin + count; ++i) written += project_ellipsoid(map, state, i, out[written]);
+    for (int64_t i = begin; i < begin + count; ++i) {
+        written += project_ellipsoid(map, state, i, out[written], slopes[written]);
+    }
     return written;
 }
 
@@ -116,7 +119,11 @@ void project(const Gaussians& map, Rasterisation& out) {
     // Each chunk writes to its own part of a buffer of maximum size, which is then compacted. Unused
     // pages of the buffer are never allocated.
     static thread_local Buffer<Splat> loose;
+    static thread_local Buffer<Slope> loose_slopes;
+    const bool spheres = out.shape == Shape::SPHERE;
     loose.resize((size_t)map.count);
+    loose_slopes.resize(spheres ? 0 : (size_t)map.count);
+    Slope* const slopes = loose_slopes.data();
     std::vector<int64_t> first((size_t)chunks + 1, 0);
     Splat* const splats = loose.data();
 #pragma omp parallel
@@ -126,17 +133,20 @@ void project(const Gaussians& map, Rasterisation& out) {
         for (int64_t c = 0; c < chunks; ++c) {
             const int64_t begin = c * CHUNK;
             const int count = (int)std::min<int64_t>(CHUNK, map.count - begin);
-            first[(size_t)c + 1] = out.shape == Shape::SPHERE
-                                       ? project_chunk(map, out, begin, count, *scratch, splats + begin)
-                                       : project_ellipsoids(map, out, begin, count, splats + begin);
+            first[(size_t)c + 1] = spheres ? project_chunk(map, out, begin, count, *scratch, splats + begin)
+                                           : project_ellipsoids(map, out, begin, count, splats + begin, slopes + begin);
         }
     }
     for (int64_t c = 0; c < chunks; ++c) first[(size_t)c + 1] += first[(size_t)c];
     out.splats.resize((size_t)first[(size_t)chunks]);
+    out.slopes.resize(spheres ? 0 : (size_t)first[(size_t)chunks]);
 #pragma omp parallel for schedule(static)
     for (int64_t c = 0; c < chunks; ++c) {
         std::copy_n(splats + c * CHUNK, first[(size_t)c + 1] - first[(size_t)c],
                     out.splats.data() + first[(size_t)c]);
+        if (spheres) continue;
+        std::copy_n(slopes + c * CHUNK, first[(size_t)c + 1] - first[(size_t)c],
+                    out.slopes.data() + first[(size_t)c]);
     }
 }
 

@@ -59,6 +59,12 @@ struct alignas(64) Splat {
 };
 static_assert(sizeof(Splat) == 64, "a splat fills one cache line");
 
+// Depth of an ellipsoid along the rays: that of its centre plus along_s s + along_t t, with the
+// coordinates s and t of `whitened` (tile.hpp).
+struct Slope {
+    float along_s, along_t;
+};
+
 struct Gaussians {
     int64_t count;
     const float* means;          // [N, 3]
@@ -90,6 +96,7 @@ struct Rasterisation {
     Shape shape = Shape::SPHERE;
     int tiles_x = 0, tiles_y = 0;
     Buffer<Splat> splats;              // visible Gaussians, by index in the map
+    Buffer<Slope> slopes;              // of ellipsoids, by index in `splats`
     Buffer<int32_t> tile_begin;        // [tiles + 1] into the pairs
     Buffer<int32_t> pair_splat;        // by tile, front to back
     Buffer<int32_t> pair_slot;         // gradient slot of the pair, or -1 for the row of the splat

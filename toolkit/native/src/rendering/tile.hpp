@@ -33,7 +33,7 @@ struct alignas(64) TileEntry {
     int32_t id, splat, slot;
     uint32_t blocks;    // bit i: block i is within the support
     float shape_a, shape_b, shape_c, opacity;  // of an ellipsoid; see Splat
-    int32_t padding[2];
+    Slope slope;
 };
 static_assert(sizeof(TileEntry) == 192, "three cache lines");
 
@@ -83,7 +83,7 @@ SEMSPLAT_INLINE void prepare_sphere(const Splat& s, float left, float top, TileE
 
 SEMSPLAT_INLINE Floats clamped(Floats x, Floats least, Floats most) { return minimum(maximum(x, least), most); }
 
-SEMSPLAT_INLINE void prepare_ellipsoid(const Splat& s, float left, float top, TileEntry& e) {
+SEMSPLAT_INLINE void prepare_ellipsoid(const Splat& s, const Slope& slope, float left, float top, TileEntry& e) {
     const float u = s.u - left, v = s.v - top;
     for (int first = 0; first < TILE; first += LANES) {
         store(e.columns + first, load(COUNTING + first) - all(u));
@@ -110,15 +110,17 @@ SEMSPLAT_INLINE void prepare_ellipsoid(const Splat& s, float left, float top, Ti
     e.shape_b = s.shape_b;
     e.shape_c = s.shape_c;
     e.opacity = s.opacity;
+    e.slope = slope;
     prepare_values(s, u, v, e);
 }
 
+// Prepares the splat with index i.
 template <Shape SHAPE>
-SEMSPLAT_INLINE void prepare(const Splat& s, float left, float top, TileEntry& e) {
+SEMSPLAT_INLINE void prepare(const Rasterisation& state, int32_t i, float left, float top, TileEntry& e) {
     if (SHAPE == Shape::SPHERE) {
-        prepare_sphere(s, left, top, e);
+        prepare_sphere(state.splats[i], left, top, e);
     } else {
-        prepare_ellipsoid(s, left, top, e);
+        prepare_ellipsoid(state.splats[i], state.slopes[i], left, top, e);
     }
 }
 
@@ -130,15 +132,17 @@ SEMSPLAT_INLINE void whitened(const TileEntry& e, int block, int part, Floats& s
     t = all(e.shape_c) * y;
 }
 
-// Opacity times Gaussian of an entry at the pixels of one part of a block.
+// Opacity times Gaussian of an entry at the pixels of one part of a block, and its depth there.
 template <Shape SHAPE>
-SEMSPLAT_INLINE Floats gaussian_of(const TileEntry& e, int block, int part) {
+SEMSPLAT_INLINE Floats gaussian_of(const TileEntry& e, int block, int part, Floats& depth) {
+    depth = all(e.z);
     if (SHAPE == Shape::SPHERE) {
         return load_columns(e.columns + block_column(block)) *
                load_rows(e.rows + block_row(block) + LANES / 4 * part);
     }
     Floats s, t;
     whitened(e, block, part, s, t);
+    depth = fma(all(e.slope.along_s), s, fma(all(e.slope.along_t), t, depth));
     return all(e.opacity) * exp_negative(fnma(s, s, all(0.0f) - t * t));
 }
 

@@ -1,0 +1,107 @@
+"""Merging: spheres on one patch of a surface become one ellipsoid.
+
+Tracking needs spheres of the size of a pixel. Once it has ended, a patch of one colour and class
+becomes one ellipsoid, with the mean and the covariance of the spheres that it replaces.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from toolkit.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
+from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids
+from toolkit.submaps.submap import Submap
+
+Array = NDArray[np.float64]
+
+# Side of a patch in pixels of the keyframe that seeded its Gaussians.
+PATCH_PX = 4.0
+# Steps of the colours in [0, 1] that are kept apart: smaller than most edges, larger than noise.
+_COLOUR_STEP = 0.125
+# Bounds of the merged opacity, whose logit must be finite.
+_OPACITIES = 0.01, 0.99
+_SMALLEST_M = 1e-5
+
+
+def to_ellipsoids(submap: Submap, classes: Tensor, degree: int) -> None:
+    """Merge the spheres of a submap; its optimiser starts again.
+
+    Args:
+        classes: [N] class ids, which are kept apart.
+        degree: highest degree of the harmonics, which start at zero.
+    """
+    cloud = submap.gaussians
+    if not len(cloud):
+        return
+    patches = _patches(cloud, _patch_sizes(submap), classes.cpu().numpy())
+    merged, heaviest = _merged(cloud, patches, degree)
+    submap.gaussians = merged
+    submap.seeded_by = submap.seeded_by.index_select(0, heaviest)
+    steps = submap.optimiser.steps.index_select(0, heaviest)
+    submap.optimiser = type(submap.optimiser)(steps)
+
+
+def _patch_sizes(submap: Submap) -> Array:
+    """Side [N] in metres of a patch around each Gaussian: `PATCH_PX` at its seeding keyframe."""
+    centres = {k.index: k.T_map_camera[:3, 3] for k in submap.keyframes}
+    means, sources = submap.gaussians.means.cpu().double().numpy(), submap.seeded_by.cpu().numpy()
+    known, inverse = np.unique(sources, return_inverse=True)
+    nearest = submap.keyframes[0].T_map_camera[:3, 3]
+    positions = np.array([centres.get(int(index), nearest) for index in known])
+    distances = np.linalg.norm(means - positions[inverse.reshape(-1)], axis=1)
+    return PATCH_PX * distances / submap.keyframes[0].camera.focal
+
+
+def _patches(cloud: GaussianCloud, sizes_m: Array, classes: NDArray) -> NDArray[np.int64]:
+    """Number [N] of the patch of each Gaussian: a cell of space, a colour and a class."""
+    # Powers of two, so that neighbours usually share their grid.
+    levels = np.rint(np.log2(np.maximum(sizes_m, _SMALLEST_M)))
+    cells = np.floor(cloud.means.cpu().double().numpy() / np.exp2(levels)[:, None])
+    colours = np.floor(cloud.colours.cpu().double().numpy() / _COLOUR_STEP)
+    keys = np.column_stack([cells, levels, colours, classes]).astype(np.int64)
+    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _merged(
+    cloud: GaussianCloud, patches: NDArray[np.int64], degree: int
+) -> tuple[GaussianCloud, Tensor]:
+    """Return one ellipsoid for each patch, and the index [M] of its heaviest sphere."""
+    weights = (cloud.opacities * cloud.radii_m**2).cpu().double().numpy() + 1e-12
+    total = np.bincount(patches, weights)
+
+    def mean(values: Tensor | NDArray) -> Array:
+        columns = np.asarray(values, dtype=np.float64).reshape(len(patches), -1).T
+        return np.stack([np.bincount(patches, weights * c) / total for c in columns], axis=1)
+
+    means = mean(cloud.means.cpu())
+    offsets = cloud.means.cpu().double().numpy() - means[patches]
+    spread = offsets[:, :, None] * offsets[:, None, :]
+    spread += (cloud.radii_m.cpu().double().numpy() ** 2)[:, None, None] * np.eye(3)
+    variances, axes = np.linalg.eigh(mean(spread.reshape(-1, 9)).reshape(-1, 3, 3))
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    quaternions = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+    log_scales = _tensor(0.5 * np.log(np.maximum(variances, _SMALLEST_M**2)), cloud)
+    opacities = _tensor(mean(cloud.opacities.cpu()).clip(*_OPACITIES)[:, 0], cloud)
+    harmonics = cloud.means.new_zeros(len(total), HARMONIC_COUNTS[degree], 3)
+    features = _tensor(mean(cloud.features.cpu()), cloud) if cloud.features.shape[1] else None
+    merged = GaussianCloud(
+        _tensor(means, cloud),
+        log_scales.mean(dim=1),
+        torch.logit(opacities),
+        _tensor(mean(cloud.colours.cpu()), cloud),
+        cloud.features.new_zeros(len(total), 0) if features is None else features,
+        ellipsoids=Ellipsoids(log_scales, _tensor(quaternions, cloud), harmonics),
+        centred_colours=cloud.centred_colours,
+        low_pass=LOW_PASS_3DGS,
+    )
+    order = np.lexsort((-weights, patches))
+    first = np.searchsorted(patches[order], np.arange(len(total)))
+    return merged, torch.from_numpy(order[first]).to(cloud.means.device)
+
+
+def _tensor(values: Array, cloud: GaussianCloud) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values, np.float32)).to(cloud.means.device)
