@@ -54,7 +54,7 @@ _MAX_STEPS_BEFORE = 15
 # The learning rates fall exponentially from this factor to one. In 6 steps per keyframe, this
 # reaches the PSNR of 9 steps with constant rates.
 _START_RATE = 4.0
-# Of ellipsoids, which are not yet fitted to the images.
+# Of new ellipsoids, which are not yet fitted to the images.
 _ELLIPSOIDS_START_RATE = 8.0
 # Fewer steps in total are too few for them, however few keyframes there are.
 _ELLIPSOIDS_MIN_STEPS = 72
@@ -66,6 +66,7 @@ def refine(
     options: MapperOptions,
     generator: np.random.Generator,
     steps: Iterator[int] | None = None,
+    merged: bool = False,
 ) -> None:
     """Optimise a map over all keyframes, each equally often, in random order.
 
@@ -74,21 +75,21 @@ def refine(
     Args:
         generator: chooses the order.
         steps: is advanced once per optimisation step, for a progress bar.
+        merged: the Gaussians are new ellipsoids, not yet fitted to the images.
     """
     steps = steps or iter(())
     optimiser, count = submap.optimiser, len(submap.keyframes)
     steps_before, start_rate = optimiser.steps, 1.0
-    if submap.gaussians.centred_colours:
+    if submap.gaussians.centred_colours or merged:
         optimiser.steps = steps_before.clamp(max=_MAX_STEPS_BEFORE)
-        shapes = submap.gaussians.ellipsoids
-        start_rate = _START_RATE if shapes is None else _ELLIPSOIDS_START_RATE
+        start_rate = _ELLIPSOIDS_START_RATE if merged else _START_RATE
     removed_steps = steps_before - optimiser.steps
     objective = Objective(
         adjust_poses=options.final_poses or options.bundle_adjustment,
         compare_features=True,
     )
     rounds, surfaces = options.final_iterations, None
-    if rounds and count and submap.gaussians.ellipsoids is not None:
+    if rounds and count and merged:
         rounds = max(rounds, -(-_ELLIPSOIDS_MIN_STEPS // count))
     if rounds:
         submap.gaussians = replace(submap.gaussians, centred_colours=False)

@@ -296,9 +296,10 @@ class Mapper:
         if self.options.fill_holes:
             with self._recorder.timed(Stage.HOLE_FILLING):
                 fill_all_holes(submap, self.view, self.densification)
-        if self.options.final_shape == "ellipsoids" and submap.gaussians.ellipsoids is None:
+        merge = self.options.final_shape == "ellipsoids" and submap.gaussians.ellipsoids is None
+        if merge:
             to_ellipsoids(submap, self.semantics.classes_of(submap.gaussians.features), 0)
-        refine(submap, self._optimisation, self.options, self._generator, steps)
+        refine(submap, self._optimisation, self.options, self._generator, steps, merge)
         self._clear_free_space(submap, T_map_cameras)
         self.densification.prune(submap)
 

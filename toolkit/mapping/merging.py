@@ -19,7 +19,7 @@ from toolkit.submaps.submap import Submap
 Array = NDArray[np.float64]
 
 # Side of a patch in pixels of the keyframe that seeded its Gaussians.
-PATCH_PX = 4.0
+PATCH_PX = 5.0
 # Steps of the colours in [0, 1] that are kept apart: smaller than most edges, larger than noise.
 _COLOUR_STEP = 0.125
 # Bounds of the merged opacity, whose logit must be finite.

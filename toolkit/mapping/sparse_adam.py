@@ -39,7 +39,7 @@ class LearningRates:
     harmonics: float = 0.002
     features: float = 1.0
     epsilon: float = 0.05
-    ellipsoid_epsilon: float = 0.005
+    ellipsoid_epsilon: float = 0.0005
     settle_steps: float = 120.0
 
     def epsilon_of(self, cloud: GaussianCloud) -> float:
