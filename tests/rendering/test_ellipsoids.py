@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 from splat_scenes import (
     Scene,
@@ -24,6 +25,7 @@ from toolkit.gaussians.ellipsoids import (
     Ellipsoids,
     harmonic_basis,
     harmonic_rotation,
+    quaternions,
     rotation_matrices,
 )
 from toolkit.geometry import se3
@@ -176,6 +178,15 @@ def test_clouds_of_spheres_and_ellipsoids_can_be_joined() -> None:
     assert joined.ellipsoids is not None
     assert joined.ellipsoids.degree == 1
     assert len(joined.select(torch.tensor([0, 7])).as_ellipsoids()) == 2
+
+
+def test_quaternions_of_rotations_by_any_angle() -> None:
+    """Half turns as well, where the real part is zero."""
+    generator = np.random.default_rng(0)
+    halves = [np.diag(signs) for signs in ([1, -1, -1], [-1, 1, -1], [-1, -1, 1], [1, 1, 1])]
+    R = np.array([*halves, *Rotation.random(50, generator).as_matrix()])
+    found = rotation_matrices(torch.from_numpy(quaternions(R))).numpy()
+    np.testing.assert_allclose(found, R, atol=1e-12)
 
 
 def test_quaternions_of_any_length() -> None:

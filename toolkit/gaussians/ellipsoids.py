@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 # Numbers of coefficients per colour of the degrees 0 to 3, without the constant.
@@ -70,7 +69,7 @@ class Ellipsoids:
 
     def rotated(self, R: NDArray[np.float64]) -> Ellipsoids:
         """Return the ellipsoids after a rotation [3, 3] of the map, with their view dependence."""
-        x, y, z, w = Rotation.from_matrix(R).as_quat()
+        w, x, y, z = quaternions(R[None])[0]
         product = ((w, -x, -y, -z), (x, w, -z, y), (y, z, w, -x), (z, -y, x, w))
         turned = harmonic_rotation(R, self.harmonics.shape[1]).to(self.harmonics)
         return Ellipsoids(
@@ -104,6 +103,25 @@ class Ellipsoids:
         rotations = log_radii.new_tensor([1.0, 0.0, 0.0, 0.0]).expand(n, 4).contiguous()
         scales = log_radii[:, None].expand(n, 3).contiguous()
         return cls(scales, rotations, log_radii.new_zeros(n, HARMONIC_COUNTS[degree], 3))
+
+
+def quaternions(R: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit quaternions [N, 4], wxyz, of rotation matrices [N, 3, 3]."""
+    a, b, c = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
+    x, y, z = R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]
+    xy, xz, yz = R[:, 0, 1] + R[:, 1, 0], R[:, 0, 2] + R[:, 2, 0], R[:, 1, 2] + R[:, 2, 1]
+    # Each row is the quaternion times one of its entries; the largest entry is the most precise.
+    rows = np.array(
+        [
+            [1 + a + b + c, x, y, z],
+            [x, 1 + a - b - c, xy, xz],
+            [y, xy, 1 - a + b - c, yz],
+            [z, xz, yz, 1 - a - b + c],
+        ]
+    )
+    largest = rows[np.arange(4), np.arange(4)].argmax(axis=0)
+    chosen = rows[largest, :, np.arange(len(R))]
+    return np.asarray(chosen / np.linalg.norm(chosen, axis=1, keepdims=True))
 
 
 def rotation_matrices(quaternions: Tensor) -> Tensor:

@@ -9,11 +9,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from toolkit.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
-from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids
+from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids, quaternions
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
@@ -83,7 +82,6 @@ def _merged(
     spread += (cloud.radii_m.cpu().double().numpy() ** 2)[:, None, None] * np.eye(3)
     variances, axes = np.linalg.eigh(mean(spread.reshape(-1, 9)).reshape(-1, 3, 3))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
-    quaternions = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
     log_scales = _tensor(0.5 * np.log(np.maximum(variances, _SMALLEST_M**2)), cloud)
     opacities = _tensor(mean(cloud.opacities.cpu()).clip(*_OPACITIES)[:, 0], cloud)
     harmonics = cloud.means.new_zeros(len(total), HARMONIC_COUNTS[degree], 3)
@@ -94,7 +92,7 @@ def _merged(
         torch.logit(opacities),
         _tensor(mean(cloud.colours.cpu()), cloud),
         cloud.features.new_zeros(len(total), 0) if features is None else features,
-        ellipsoids=Ellipsoids(log_scales, _tensor(quaternions, cloud), harmonics),
+        ellipsoids=Ellipsoids(log_scales, _tensor(quaternions(axes), cloud), harmonics),
         centred_colours=cloud.centred_colours,
         low_pass=LOW_PASS_3DGS,
     )

@@ -220,6 +220,10 @@ def _dataset_path(settings: RunSettings, out: Path, resume: bool, progress: Prog
     if settings.dataset.kind != "synthetic":
         raise SettingsError(f"dataset.kind '{settings.dataset.kind}' requires dataset.path")
     room = out.with_name(out.name + "_room")
+    if resume and not room.exists():
+        raise SettingsError(
+            f"--resume needs the settings of the run: add --config {out / 'config.yaml'}"
+        )
     if not resume and not (room / "traj.txt").exists():
         _log.info("Creating a synthetic room in %s.", room)
         make_room(
