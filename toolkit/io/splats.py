@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError, FormatError, RunFolderError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing, write_bytes
+from toolkit.io.compressed_ply import is_compressed_ply, read_compressed_ply
 from toolkit.io.splat_shapes import SplatShapes
 from toolkit.io.spz import spz_version_2
 
@@ -289,7 +290,7 @@ def is_splat_file(path: PathLike) -> bool:
 def read_splats(path: PathLike) -> Splats:
     """Read a `.ply`, `.splat` or `.spz` file; columns are found by name.
 
-    The axes of a `.spz` file are converted to those of `.ply`.
+    A `.ply` may be compressed, as SuperSplat writes it. The axes of a `.spz` file are converted to those of `.ply`.
 
     Raises:
         DatasetError: the file is missing.
@@ -299,17 +300,7 @@ def read_splats(path: PathLike) -> Splats:
         raise DatasetError(f"splat file {path} does not exist; check the path")
     if Path(path).suffix not in SUFFIXES:
         raise FormatError(f"{path} must end in one of {', '.join(SUFFIXES)}")
-    if Path(path).suffix == ".ply":
-        _check_ply_length(Path(path))
-    if Path(path).suffix == ".spz":
-        _check_spz(Path(path))
-    try:
-        point = open3d().t.io.read_point_cloud(str(path)).point
-        columns = {name: point[name].numpy() for name in point}
-    except RuntimeError as error:
-        raise FormatError(
-            f"{path} cannot be read ({_first_line(error)}); write it again"
-        ) from error
+    columns = _columns(Path(path))
     for name in ("positions", "f_dc", "opacity", "scale"):
         if name not in columns or len(columns[name]) == 0:
             raise FormatError(
@@ -335,6 +326,23 @@ def read_splats(path: PathLike) -> Splats:
         },
         ellipsoids=shapes,
     )
+
+
+def _columns(path: Path) -> dict[str, NDArray]:
+    """The arrays of a splat file, with Open3D's names."""
+    if path.suffix == ".ply":
+        if is_compressed_ply(path):
+            return read_compressed_ply(path)
+        _check_ply_length(path)
+    if path.suffix == ".spz":
+        _check_spz(path)
+    try:
+        point = open3d().t.io.read_point_cloud(str(path)).point
+        return {name: point[name].numpy() for name in point}
+    except RuntimeError as error:
+        raise FormatError(
+            f"{path} cannot be read ({_first_line(error)}); write it again"
+        ) from error
 
 
 def _shapes(path: PathLike, columns: Mapping[str, NDArray]) -> SplatShapes | None:
