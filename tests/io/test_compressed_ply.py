@@ -84,7 +84,7 @@ def test_other_plys_are_not_compressed(file, tmp_path):
 @pytest.mark.parametrize("length", [len(HEADER) - 5, len(HEADER), len(HEADER) + 80, -1])
 def test_truncated_files_are_named(file, length):
     file.write_bytes((HEADER + BODY)[:length])
-    with pytest.raises(FormatError, match="map.compressed.ply is truncated"):
+    with pytest.raises(FormatError, match=r"map\.compressed\.ply is truncated"):
         read_splats(file)
 
 
@@ -98,5 +98,5 @@ def test_truncated_files_are_named(file, length):
 )
 def test_other_headers_are_named(file, old, new):
     file.write_bytes(HEADER.replace(old, new) + BODY)
-    with pytest.raises(FormatError, match="cannot be|can be read"):
+    with pytest.raises(FormatError, match="write it again"):
         read_splats(file)

@@ -1,7 +1,7 @@
 """Read compressed splat PLYs, as SuperSplat and splat-transform write them.
 
-Source: the source code of PlayCanvas (github.com/playcanvas/splat-transform). Positions, logarithms of
-scales and colours are fractions of the ranges of chunks of 256 splats; harmonics have a byte.
+Source: the source code of PlayCanvas (github.com/playcanvas/splat-transform). Positions, logarithms
+of scales and colours are fractions of the ranges of chunks of 256 splats; harmonics have a byte.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def read_compressed_ply(path: Path) -> Columns:
         return _unpacked(elements)
     except (KeyError, ValueError, IndexError) as error:
         raise FormatError(
-            f"{path} is not a compressed splat PLY that can be read ({error!r}); write it again, or "
-            "as an uncompressed .ply"
+            f"{path}: the compressed splats cannot be read ({error!r}); write it again, or as an "
+            "uncompressed .ply"
         ) from error
 
 

@@ -290,7 +290,8 @@ def is_splat_file(path: PathLike) -> bool:
 def read_splats(path: PathLike) -> Splats:
     """Read a `.ply`, `.splat` or `.spz` file; columns are found by name.
 
-    A `.ply` may be compressed, as SuperSplat writes it. The axes of a `.spz` file are converted to those of `.ply`.
+    A `.ply` may be compressed, as SuperSplat writes it. The axes of a `.spz` file are converted to
+    those of `.ply`.
 
     Raises:
         DatasetError: the file is missing.
