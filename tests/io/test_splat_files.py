@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from toolkit.errors import DatasetError, FormatError, RunFolderError
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
+from toolkit.gaussians.cloud import LOW_PASS_3DGS, PIXEL_FILTER, GaussianCloud
 from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -237,6 +237,17 @@ def test_a_ply_and_a_spz_of_one_map_look_the_same(tmp_path, ellipsoids):
         images.append(render(read_cloud(tmp_path / name), camera, T_camera_map).colour)
     assert float(images[0].max()) > 0.1
     assert float((images[0] - images[1]).abs().max()) < 0.05
+
+
+@pytest.mark.parametrize("low_pass", [PIXEL_FILTER, LOW_PASS_3DGS])
+def test_a_ply_says_how_its_ellipsoids_are_filtered(tmp_path, ellipsoids, low_pass):
+    """Without a word, they are those of another tool."""
+    splats.write_splat_ply(tmp_path / "map.ply", replace(ellipsoids, low_pass=low_pass))
+    header = (tmp_path / "map.ply").read_bytes().partition(b"end_header")[0]
+    assert (b"comment pixel_filter" in header) == (low_pass == PIXEL_FILTER)
+    assert read_cloud(tmp_path / "map.ply").low_pass == low_pass
+    splats.write_splat_ply(tmp_path / "again.ply", splats.read_splats(tmp_path / "map.ply"))
+    assert read_cloud(tmp_path / "again.ply").low_pass == low_pass
 
 
 def test_spz_of_version_2_is_not_written_for_ellipsoids(tmp_path, ellipsoids):

@@ -34,6 +34,8 @@ class LowPass:
 NO_LOW_PASS = LowPass()
 # Of maps that were trained with 3DGS; its viewers do the same.
 LOW_PASS_3DGS = LowPass(0.3)
+# Of our own ellipsoids: they look the same at all image sizes.
+PIXEL_FILTER = LowPass(0.1, compensated=True)
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,11 @@ class GaussianCloud:
     def opacities(self) -> Tensor:
         """Opacities [N] in (0, 1)."""
         return self.opacity_logits.sigmoid()
+
+    @property
+    def pixel_filter(self) -> bool:
+        """Whether the Gaussians are filtered by `PIXEL_FILTER`."""
+        return self.low_pass == PIXEL_FILTER
 
     @classmethod
     def empty(cls, feature_channels: int = 0, device: str | torch.device = "cpu") -> GaussianCloud:

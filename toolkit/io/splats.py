@@ -34,6 +34,8 @@ _SPZ_AXES = np.array([1, -1, -1], np.float32)
 _SPZ_MAGIC, _FIRST_UNPACKED_SPZ = b"NGSP", 4
 # The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
 CONSTANT_HARMONIC = 0.28209479
+# Comment in the header of a PLY; see `Splats.pixel_filter`.
+_FILTER_COMMENT, _MAX_HEADER = b"pixel_filter 0.1 compensated", 8192
 # Numbers of harmonics of the degrees 0 to 3, without the constant.
 _HARMONICS = (0, 3, 8, 15)
 # Splats with a larger ratio of the longest to the shortest axis are not isotropic.
@@ -71,6 +73,9 @@ class SplatLike(Protocol):
 
     @property
     def ellipsoids(self) -> Any: ...
+
+    @property
+    def pixel_filter(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -148,6 +153,8 @@ class Splats:
         extra: additional columns [N] by name, such as `submap` (int32) or those of `labels`.
         ellipsoids: shapes and harmonics; None if all splats are isotropic and look the same from
             everywhere.
+        pixel_filter: whether the file says that its ellipsoids were fitted with semsplat's filter,
+            and not with that of 3DGS.
     """
 
     means: NDArray[np.float32]
@@ -156,6 +163,7 @@ class Splats:
     colours: NDArray[np.float32]
     extra: dict[str, NDArray] = field(default_factory=dict)
     ellipsoids: SplatShapes | None = None
+    pixel_filter: bool = False
 
     def __len__(self) -> int:
         return len(self.means)
@@ -198,6 +206,8 @@ def write_splat_ply(
         dtype = np.int32 if np.issubdtype(values.dtype, np.integer) else np.float32
         cloud.point[name] = tensor(np.ascontiguousarray(values.astype(dtype)[:, None]))
     _write(path, cloud)
+    if splats.ellipsoids is not None and splats.pixel_filter:
+        _add_comments(Path(path), [_FILTER_COMMENT.decode()])
 
 
 def export_splats(
@@ -222,10 +232,7 @@ def export_splats(
     if Path(path).suffix == ".ply":
         write_splat_ply(path, splats, extra)
         if comments:
-            content = Path(path).read_bytes()
-            head, _, rest = content.partition(b"\nelement ")
-            lines = "".join(f"\ncomment {line}" for line in comments).encode()
-            write_bytes(Path(path), head + lines + b"\nelement " + rest)
+            _add_comments(Path(path), comments)
     elif Path(path).suffix == ".spz" and spz_version == 2:
         _write_spz_version_2(Path(path), splats)
     else:
@@ -233,6 +240,12 @@ def export_splats(
         if Path(path).suffix == ".spz":
             _reverse_axes(cloud)
         _write(path, cloud)
+
+
+def _add_comments(path: Path, comments: Sequence[str]) -> None:
+    head, _, rest = path.read_bytes().partition(b"\nelement ")
+    lines = "".join(f"\ncomment {line}" for line in comments).encode()
+    write_bytes(path, head + lines + b"\nelement " + rest)
 
 
 def _reverse_axes(cloud: Any) -> None:
@@ -326,7 +339,15 @@ def read_splats(path: PathLike) -> Splats:
             if name not in _OWN_ATTRIBUTES and column.shape[1:] == (1,)
         },
         ellipsoids=shapes,
+        pixel_filter=_is_filtered(Path(path)),
     )
+
+
+def _is_filtered(path: Path) -> bool:
+    if path.suffix != ".ply":
+        return False
+    with path.open("rb") as file:
+        return _FILTER_COMMENT in file.read(_MAX_HEADER).partition(b"end_header")[0]
 
 
 def _columns(path: Path) -> dict[str, NDArray]:

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
+from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
 from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids, quaternions
 from toolkit.submaps.submap import Submap
 
@@ -94,7 +94,7 @@ def _merged(
         cloud.features.new_zeros(len(total), 0) if features is None else features,
         ellipsoids=Ellipsoids(log_scales, _tensor(quaternions(axes), cloud), harmonics),
         centred_colours=cloud.centred_colours,
-        low_pass=LOW_PASS_3DGS,
+        low_pass=PIXEL_FILTER,
     )
     order = np.lexsort((-weights, patches))
     first = np.searchsorted(patches[order], np.arange(len(total)))

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from toolkit import __version__
 from toolkit.errors import FormatError, RunFolderError, SettingsError
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
+from toolkit.gaussians.cloud import LOW_PASS_3DGS, PIXEL_FILTER, GaussianCloud
 from toolkit.gaussians.ellipsoids import SHAPES, Ellipsoids
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
@@ -372,4 +372,8 @@ def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
     if splats.ellipsoids is None:
         return cloud
     tensors = (torch.from_numpy(getattr(splats.ellipsoids, name)) for name in SHAPES)
-    return replace(cloud, ellipsoids=Ellipsoids(*tensors), low_pass=LOW_PASS_3DGS)
+    return replace(
+        cloud,
+        ellipsoids=Ellipsoids(*tensors),
+        low_pass=PIXEL_FILTER if splats.pixel_filter else LOW_PASS_3DGS,
+    )
