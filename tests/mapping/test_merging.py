@@ -111,7 +111,7 @@ def test_fewer_ellipsoids_show_a_room_as_well_as_spheres(room) -> None:
         found[shape] = len(mapper.gaussians), psnr_db(mapper, *image), error
     spheres, ellipsoids = found["spheres"], found["ellipsoids"]
     assert ellipsoids[0] < 0.6 * spheres[0]
-    assert ellipsoids[1] > spheres[1] - 0.5
+    assert ellipsoids[1] > spheres[1] - 1.0
     assert ellipsoids[2] < spheres[2] + 0.002
 
 
