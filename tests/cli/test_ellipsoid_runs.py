@@ -1,0 +1,75 @@
+"""A finished map of ellipsoids, in the hands of every program that takes maps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from room_runs import QUICK, RoomRuns
+
+from toolkit.cli.main import main
+from toolkit.gaussians.cloud import PIXEL_FILTER
+from toolkit.rendering import render
+from toolkit.runs.finished import load_run
+from toolkit.runs.folder import read_cloud
+
+SHAPE = ["--mapping.final-shape", "ellipsoids"]
+
+
+@pytest.fixture(scope="module")
+def run(room_runs: RoomRuns, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("ellipsoids") / "run"
+    dataset = ["--dataset.kind", "synthetic", "--dataset.path", str(room_runs.recordings[0])]
+    assert main(["run", *dataset, *QUICK, *SHAPE, "--out", str(out)]) == 0
+    return out
+
+
+def test_the_map_is_smaller_and_says_how_it_is_rendered(run, room_runs) -> None:
+    finished = load_run(run)
+    spheres = load_run(room_runs.a)
+    assert finished.gaussians.ellipsoids is not None
+    assert finished.gaussians.low_pass == PIXEL_FILTER
+    assert len(finished.gaussians) < 0.6 * len(spheres.gaussians)
+    psnr_db = [
+        json.loads((folder / "metrics.json").read_text())["images"]["mapped"]["psnr_db"]
+        for folder in (run, room_runs.a)
+    ]
+    assert psnr_db[0] > psnr_db[1] - 1.0
+
+
+def test_the_file_of_the_map_is_the_map(run) -> None:
+    """What other programs read renders like the stored submap."""
+    finished = load_run(run)
+    stored = finished.submaps[0].gaussians
+    T_camera_map = torch.eye(4, dtype=torch.float64)
+    images = [
+        render(cloud, finished.camera, T_camera_map).silhouette
+        for cloud in (read_cloud(run / "map.ply"), stored)
+    ]
+    assert float((images[0] - images[1]).abs().max()) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("render", "{run}", "--out", "{out}/views", "--every", "4"),
+        ("render", "{run}/map.ply", "--out", "{out}/view"),
+        ("evaluate", "{run}"),
+        ("export", "{run}", "--to", "{out}/map.spz"),
+        ("export", "{run}", "--to", "{out}/map.glb"),
+        ("export", "{run}", "--format", "viewer", "--to", "{out}/map.html"),
+        ("refine", "{run}", "--out", "{out}/refined", "--iterations", "1"),
+    ],
+)
+def test_programs_take_it(run, tmp_path, words) -> None:
+    assert main([word.format(run=run, out=tmp_path) for word in words]) == 0
+
+
+def test_a_camera_is_tracked_in_it(run, room_runs, tmp_path) -> None:
+    """A second walk is relocalised in the map of ellipsoids, and extends it."""
+    dataset = ["--dataset.kind", "synthetic", "--dataset.path", str(room_runs.recordings[1])]
+    words = ["run", *dataset, *QUICK, "--map", str(run), "--out", str(tmp_path / "more")]
+    assert main(words) == 0
+    assert len(load_run(tmp_path / "more").tracked) > 0
