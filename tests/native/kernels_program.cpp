@@ -56,7 +56,8 @@ const Pinhole CAMERA{48.0f, 47.0f, 26.0f, 19.5f, WIDTH, HEIGHT};
 const double POSE[12] = {1, 0, 0, 0.02, 0, 1, 0, -0.01, 0, 0, 1, 0.03};
 
 struct Scene {
-    std::vector<float> means, log_radii, logits, colours, features;
+    enum { HARMONICS = 8 };
+    std::vector<float> means, log_radii, logits, colours, features, log_scales, rotations, harmonics;
     Scene(int channels) {
         Random random;
         for (int i = 0; i < COUNT; ++i) {
@@ -69,15 +70,33 @@ struct Scene {
             for (int c = 0; c < 3; ++c) colours.push_back(random(0.0f, 1.0f));
             for (int c = 0; c < channels; ++c) features.push_back(random(-1.0f, 1.0f));
         }
+        for (float log_radius : log_radii) {
+            for (int k = 0; k < 3; ++k) log_scales.push_back(log_radius + random(-1.0f, 0.5f));
+            for (int k = 0; k < 4; ++k) rotations.push_back(random(-1.0f, 1.0f));
+            for (int k = 0; k < 3 * HARMONICS; ++k) harmonics.push_back(random(-0.2f, 0.2f));
+        }
     }
-    Gaussians gaussians(int channels, bool centres) const {
-        return {COUNT,          means.data(),    log_radii.data(), logits.data(),
-                colours.data(), features.data(), channels,         centres};
+    Gaussians gaussians(int channels, bool centres, Shape shape = Shape::SPHERE) const {
+        const bool spheres = shape == Shape::SPHERE;
+        return {COUNT,
+                means.data(),
+                log_radii.data(),
+                logits.data(),
+                colours.data(),
+                features.data(),
+                spheres ? nullptr : log_scales.data(),
+                spheres ? nullptr : rotations.data(),
+                spheres ? nullptr : harmonics.data(),
+                channels,
+                spheres ? 0 : HARMONICS,
+                centres};
     }
 };
 
 void start(Rasterisation& state, const Gaussians& map) {
     state.camera = CAMERA;
+    state.shape = map.shape();
+    if (state.shape == Shape::ELLIPSOID) state.low_pass = {0.1f, true};
     state.tiles_x = (WIDTH + TILE - 1) / TILE;
     state.tiles_y = (HEIGHT + TILE - 1) / TILE;
     for (int i = 0; i < 3; ++i) {
@@ -88,14 +107,15 @@ void start(Rasterisation& state, const Gaussians& map) {
     bin(nullptr, state);
 }
 
-void rendering(int channels) {
+void rendering(int channels, Shape shape = Shape::SPHERE) {
     const Scene scene(channels);
-    const Gaussians map = scene.gaussians(channels, false);
+    const Gaussians map = scene.gaussians(channels, false, shape);
+    const char* const kind = shape == Shape::SPHERE ? "" : "ellipsoids-";
     Rasterisation state;
     start(state, map);
     std::vector<float> images((size_t)(BASE_CHANNELS + channels) * PIXELS);
     composite(map, nullptr, state, images.data());
-    std::printf("channels-%d-", channels);
+    std::printf("%schannels-%d-", kind, channels);
     print("images", images);
 
     Random random;
@@ -104,23 +124,34 @@ void rendering(int channels) {
     const size_t visible = state.splats.size();
     for (const bool detached : {false, true}) {
         std::vector<float> means(3 * visible), radii(visible), logits(visible), colours(3 * visible),
-            features(visible * channels);
+            features(visible * channels), scales(3 * visible), rotations(4 * visible),
+            harmonics(3 * Scene::HARMONICS * visible);
         std::vector<double> pose(12);
         differentiate(map, nullptr, state, gradients.data(), detached,
-                      {means.data(), radii.data(), logits.data(), colours.data(), features.data(), pose.data()});
+                      {means.data(), radii.data(), logits.data(), colours.data(), features.data(), scales.data(),
+                       rotations.data(), harmonics.data(), pose.data()});
         const char* const mode = detached ? "detached" : "joint";
-        std::printf("channels-%d-%s-", channels, mode);
+        std::printf("%schannels-%d-%s-", kind, channels, mode);
         print("means", means);
-        std::printf("channels-%d-%s-", channels, mode);
-        print("radii", radii);
-        std::printf("channels-%d-%s-", channels, mode);
+        if (shape == Shape::SPHERE) {
+            std::printf("%schannels-%d-%s-", kind, channels, mode);
+            print("radii", radii);
+        } else {
+            std::printf("%schannels-%d-%s-", kind, channels, mode);
+            print("scales", scales);
+            std::printf("%schannels-%d-%s-", kind, channels, mode);
+            print("rotations", rotations);
+            std::printf("%schannels-%d-%s-", kind, channels, mode);
+            print("harmonics", harmonics);
+        }
+        std::printf("%schannels-%d-%s-", kind, channels, mode);
         print("opacities", logits);
-        std::printf("channels-%d-%s-", channels, mode);
+        std::printf("%schannels-%d-%s-", kind, channels, mode);
         print("colours", colours);
-        std::printf("channels-%d-%s-", channels, mode);
+        std::printf("%schannels-%d-%s-", kind, channels, mode);
         print("pose", pose);
         if (channels) {
-            std::printf("channels-%d-%s-", channels, mode);
+            std::printf("%schannels-%d-%s-", kind, channels, mode);
             print("features", features);
         }
     }
@@ -305,6 +336,7 @@ void plane_sweep() {
 
 int main() {
     for (const int channels : {0, 1, 3, 6, 9, 20, 35}) rendering(channels);
+    for (const int channels : {0, 5}) rendering(channels, Shape::ELLIPSOID);
     surfaces_and_losses();
     alignment();
     depth_filter();
