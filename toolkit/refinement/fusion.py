@@ -142,7 +142,7 @@ class FusedMap:
 
 
 def _megabytes(cloud: GaussianCloud) -> float:
-    return 4e-6 * len(cloud) * (8 + cloud.features.shape[1])
+    return 4e-6 * sum(tensor.numel() for tensor in cloud.tensors().values())
 
 
 def _may_show(camera: Camera, T_camera_map: Array, low: Array, high: Array) -> bool:
