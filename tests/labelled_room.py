@@ -7,7 +7,7 @@ import torch
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
-from toolkit.io.splats import SplatLabels
+from toolkit.io.splat_labels import SplatLabels
 from toolkit.semantics.taxonomy import Taxonomy
 
 TAXONOMY = Taxonomy(

@@ -8,7 +8,8 @@ import torch
 
 from toolkit.errors import FormatError
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.io.splats import SplatLabels, export_splats, read_splats, write_splat_ply
+from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.splats import export_splats, read_splats, write_splat_ply
 
 N = 40
 

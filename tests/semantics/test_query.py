@@ -26,7 +26,7 @@ from labelled_room import (
 
 from toolkit.errors import FormatError
 from toolkit.geometry import se3
-from toolkit.io.splats import SplatLabels
+from toolkit.io.splat_labels import SplatLabels
 from toolkit.semantics.query import LabelledMap, ObjectOptions, check_labels, connected
 from toolkit.semantics.scene import SceneReader
 

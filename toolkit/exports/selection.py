@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from toolkit.errors import RunFolderError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.io.splats import SplatLabels, read_splats
+from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.splats import read_splats
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.labelled import load_labelled_run
 from toolkit.semantics.boxes import Ground

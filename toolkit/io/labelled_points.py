@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError, FormatError
 from toolkit.io.atomic import replacing, write_bytes
-from toolkit.io.splats import SplatLabels
+from toolkit.io.splat_labels import SplatLabels
 
 LABELLED_SUFFIXES = (".ply", ".las", ".laz")
 LAS_USER, LAS_RECORD = "semsplat", 1

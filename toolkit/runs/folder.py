@@ -33,8 +33,9 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.covariances import write_covariances
+from toolkit.io.splat_labels import SplatLabels
 from toolkit.io.splat_parts import write_splat_parts
-from toolkit.io.splats import SplatLabels, read_splats
+from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.runs.lock import LOCK, is_unused
 from toolkit.semantics.taxonomy import Taxonomy

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import GaussianScene, InMemoryScene
-from toolkit.io.splats import SplatLabels
+from toolkit.io.splat_labels import SplatLabels
 from toolkit.refinement.fusion import FusedMap
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.decoding import Decoding

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.io.splats import SplatLabels
+from toolkit.io.splat_labels import SplatLabels
 from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.refinement.fusion import fuse_submaps
 from toolkit.runs.finished import FinishedRun

@@ -17,7 +17,7 @@ from toolkit.errors import FormatError, RunFolderError
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below, read_array_tree
-from toolkit.io.splats import SplatLabels
+from toolkit.io.splat_labels import SplatLabels
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
 from toolkit.runs.map_files import splat_labels

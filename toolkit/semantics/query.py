@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.geometry.open3d_bridge import open3d
-from toolkit.io.splats import SplatLabels
+from toolkit.io.splat_labels import SplatLabels
 from toolkit.semantics.boxes import Ground, OrientedBox, oriented_box
 from toolkit.semantics.taxonomy import VOID, VOID_NAME, Node, Taxonomy
 

@@ -13,8 +13,9 @@ from toolkit.evaluation.frame_states import summary_lines
 from toolkit.evaluation.run_loops import accepted_edges
 from toolkit.exports.selection import SelectedGaussians, ground_of, select
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.io.splat_labels import SplatLabels
 from toolkit.io.splat_shapes import relative_covariances
-from toolkit.io.splats import SplatLabels, Splats, is_splat_file, read_splats
+from toolkit.io.splats import Splats, is_splat_file, read_splats
 from toolkit.loops.log import read_loop_log
 from toolkit.runs.finished import FinishedRun
 from toolkit.semantics.query import check_labels
