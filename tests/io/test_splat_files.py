@@ -265,3 +265,46 @@ def test_rotations_of_length_zero_are_upright(tmp_path, ellipsoids):
     (tmp_path / "map.ply").write_bytes(header + end + rows.tobytes())
     rotations = read_cloud(tmp_path / "map.ply").ellipsoids.rotations
     assert rotations[0].tolist() == [1, 0, 0, 0]
+
+
+def changed(path, ellipsoids, **values):
+    """A PLY of ellipsoids whose first splat has other values in some columns."""
+    splats.write_splat_ply(path, ellipsoids)
+    header, end, body = path.read_bytes().partition(b"end_header\n")
+    names = [line.split()[2].decode() for line in header.splitlines() if b"property" in line]
+    rows = np.frombuffer(body, np.float32).reshape(len(ellipsoids), len(names)).copy()
+    for name, value in values.items():
+        rows[0, names.index(name)] = value
+    path.write_bytes(header + end + rows.tobytes())
+    return path
+
+
+@pytest.mark.parametrize("name", ["x", "f_dc_1", "f_rest_5", "opacity", "scale_2", "rot_0"])
+def test_splats_that_are_not_numbers_are_left_out(tmp_path, ellipsoids, caplog, name):
+    path = changed(tmp_path / "map.ply", ellipsoids, **{name: np.nan})
+    assert len(read_cloud(path)) == len(ellipsoids) - 1
+    assert "1 of 50 splats are not finite and left out" in caplog.text
+
+
+def test_discs_and_giants_are_rendered(tmp_path, ellipsoids):
+    """A scale of e^40 covers everything or nothing; no image is made of NaN."""
+    camera = Camera(40.0, 40.0, 15.5, 15.5, 32, 32)
+    T_camera_map = se3.exp(np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0]))
+    for value in (40.0, -np.inf, -40.0):
+        path = changed(tmp_path / "map.ply", ellipsoids, scale_0=value, opacity=np.inf)
+        images = render(read_cloud(path), camera, T_camera_map).images
+        assert bool(torch.isfinite(images).all())
+
+
+def test_a_file_without_any_number_is_refused(tmp_path, ellipsoids):
+    one = ellipsoids.select(torch.tensor([0]))
+    with pytest.raises(FormatError, match="no splat with finite values"):
+        read_cloud(changed(tmp_path / "map.ply", one, x=np.nan))
+
+
+def test_a_file_that_announces_more_than_it_has_is_truncated(tmp_path, ellipsoids):
+    splats.write_splat_ply(tmp_path / "map.ply", ellipsoids)
+    content = (tmp_path / "map.ply").read_bytes()
+    (tmp_path / "map.ply").write_bytes(content.replace(b"vertex 50", b"vertex 1000000000"))
+    with pytest.raises(FormatError, match="is truncated"):
+        read_cloud(tmp_path / "map.ply")

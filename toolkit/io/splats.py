@@ -7,6 +7,7 @@ stores linear scales in memory and writes their logarithm.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ from toolkit.io.splat_labels import SplatLabels
 from toolkit.io.splat_shapes import SplatShapes
 from toolkit.io.spz import spz_version_2
 
+_log = logging.getLogger(__name__)
+
 PathLike = str | os.PathLike[str]
 
 SUFFIXES = (".ply", ".splat", ".spz")
@@ -35,6 +38,8 @@ _SPZ_AXES = np.array([1, -1, -1], np.float32)
 _SPZ_MAGIC, _FIRST_UNPACKED_SPZ = b"NGSP", 4
 # The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
 CONSTANT_HARMONIC = 0.28209479
+# Shorter axes of splats are read as this, in metres.
+_SMALLEST_M = 1e-9
 # Comment in the header of a PLY; see `Splats.pixel_filter`.
 _FILTER_COMMENT, _MAX_HEADER = b"pixel_filter 0.1 compensated", 8192
 # Numbers of harmonics of the degrees 0 to 3, without the constant.
@@ -257,6 +262,7 @@ def read_splats(path: PathLike) -> Splats:
             raise FormatError(
                 f"{path} is not a splat file, or is truncated: it has no {name}; write it again"
             )
+    columns = _finite(path, columns)
     if Path(path).suffix == ".spz":
         columns["positions"] = columns["positions"] * _SPZ_AXES
     shapes = _shapes(path, columns)
@@ -302,6 +308,27 @@ def _columns(path: Path) -> dict[str, NDArray]:
         raise FormatError(
             f"{path} cannot be read ({_first_line(error)}); write it again"
         ) from error
+
+
+def _finite(path: PathLike, columns: dict[str, NDArray]) -> dict[str, NDArray]:
+    """The columns without the splats whose values are not numbers.
+
+    Raises:
+        FormatError: nothing is left.
+    """
+    # An axis of length 0 is that of a disc; an infinite logit is an opacity of 0 or 1.
+    columns = columns | {"scale": np.maximum(columns["scale"], _SMALLEST_M)}
+    good = ~np.isnan(columns["opacity"][:, 0])
+    for name in ("positions", "f_dc", "scale", "rot", "f_rest"):
+        if name in columns:
+            good &= np.isfinite(columns[name].reshape(len(good), -1)).all(axis=1)
+    if good.all():
+        return columns
+    if not good.any():
+        raise FormatError(f"{path} contains no splat with finite values; write it again")
+    count = int((~good).sum())
+    _log.warning("%s: %d of %d splats are not finite and left out.", path, count, len(good))
+    return {name: column[good] for name, column in columns.items()}
 
 
 def _shapes(path: PathLike, columns: Mapping[str, NDArray]) -> SplatShapes | None:
