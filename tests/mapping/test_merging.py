@@ -117,6 +117,13 @@ def test_fewer_ellipsoids_show_a_room_as_well_as_spheres(room) -> None:
     assert ellipsoids[2] < spheres[2] + 0.002
 
 
+def test_without_refinement_spheres_remain(room) -> None:
+    options = MapperOptions(final_shape="ellipsoids", final_iterations=0)
+    mapper = fed(MappedSubmap(options), room, range(0, 6, 3))
+    mapper.refine()
+    assert mapper.gaussians.ellipsoids is None
+
+
 def test_a_stored_submap_of_ellipsoids_is_restored(room) -> None:
     mapper = fed(MappedSubmap(MapperOptions(final_shape="ellipsoids")), room, range(0, 6, 3))
     mapper.refine()

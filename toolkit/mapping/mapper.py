@@ -303,7 +303,9 @@ class Mapper:
         if self.options.fill_holes:
             with self._recorder.timed(Stage.HOLE_FILLING):
                 fill_all_holes(submap, self.view, self.densification)
-        merge = self.options.final_shape == "ellipsoids" and submap.gaussians.ellipsoids is None
+        # Without optimisation, merged ellipsoids would be worse than the spheres.
+        merge = self.options.final_shape == "ellipsoids" and self.options.final_iterations > 0
+        merge &= submap.gaussians.ellipsoids is None
         if merge:
             to_ellipsoids(submap, self.semantics.classes_of(submap.gaussians.features), 0)
         refine(submap, self._optimisation, self.options, self._generator, steps, merge)

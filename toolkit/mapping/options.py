@@ -85,7 +85,7 @@ class MapperOptions:
     """Constrain centres to their surfaces during the final refinement."""
     final_shape: Literal["spheres", "ellipsoids"] = "spheres"
     """Shape of the Gaussians of the finished map. Ellipsoids are merged from the spheres on which
-    the camera was tracked, and are rendered as 3DGS does."""
+    the camera was tracked, in the final refinement, and are rendered as 3DGS does."""
     fill_holes: bool = True
     """Seed Gaussians where no keyframe measured depth: from frames between keyframes, and at an
     inferred depth before the final refinement."""
