@@ -130,29 +130,23 @@ void rendering(int channels, Shape shape = Shape::SPHERE) {
         differentiate(map, nullptr, state, gradients.data(), detached,
                       {means.data(), radii.data(), logits.data(), colours.data(), features.data(), scales.data(),
                        rotations.data(), harmonics.data(), pose.data()});
-        const char* const mode = detached ? "detached" : "joint";
-        std::printf("%schannels-%d-%s-", kind, channels, mode);
-        print("means", means);
+        const auto show = [&](const char* name, const auto& values) {
+            std::printf("%schannels-%d-%s-", kind, channels, detached ? "detached" : "joint");
+            print(name, values);
+        };
+        show("means", means);
         if (shape == Shape::SPHERE) {
-            std::printf("%schannels-%d-%s-", kind, channels, mode);
-            print("radii", radii);
+            show("radii", radii);
         } else {
-            std::printf("%schannels-%d-%s-", kind, channels, mode);
-            print("scales", scales);
-            std::printf("%schannels-%d-%s-", kind, channels, mode);
-            print("rotations", rotations);
-            std::printf("%schannels-%d-%s-", kind, channels, mode);
-            print("harmonics", harmonics);
+            show("scales", scales);
+            show("rotations", rotations);
+            show("harmonics", harmonics);
         }
-        std::printf("%schannels-%d-%s-", kind, channels, mode);
-        print("opacities", logits);
-        std::printf("%schannels-%d-%s-", kind, channels, mode);
-        print("colours", colours);
-        std::printf("%schannels-%d-%s-", kind, channels, mode);
-        print("pose", pose);
+        show("opacities", logits);
+        show("colours", colours);
+        show("pose", pose);
         if (channels) {
-            std::printf("%schannels-%d-%s-", kind, channels, mode);
-            print("features", features);
+            show("features", features);
         }
     }
 }

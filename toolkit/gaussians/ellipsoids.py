@@ -63,9 +63,7 @@ class Ellipsoids:
 
     def mapped(self, function: Callable[[Tensor], Tensor]) -> Ellipsoids:
         """Apply a function of rows to all tensors."""
-        return Ellipsoids(
-            function(self.log_scales), function(self.rotations), function(self.harmonics)
-        )
+        return Ellipsoids(*map(function, self.tensors().values()))
 
     def rotated(self, R: NDArray[np.float64]) -> Ellipsoids:
         """Return the ellipsoids after a rotation [3, 3] of the map, with their view dependence."""
@@ -90,11 +88,7 @@ class Ellipsoids:
         """Concatenate in order, with the highest degree of all."""
         degree = max(part.degree for part in parts)
         parts = [part.with_degree(degree) for part in parts]
-        return cls(
-            torch.cat([part.log_scales for part in parts]),
-            torch.cat([part.rotations for part in parts]),
-            torch.cat([part.harmonics for part in parts]),
-        )
+        return cls(*(torch.cat([getattr(part, name) for part in parts]) for name in SHAPES))
 
     @classmethod
     def spheres(cls, log_radii: Tensor, degree: int = 0) -> Ellipsoids:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
 from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids, quaternions
+from toolkit.submaps.optimiser_state import OptimiserState
 from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
@@ -41,7 +42,7 @@ def to_ellipsoids(submap: Submap, classes: Tensor, degree: int) -> None:
     submap.gaussians = merged
     submap.seeded_by = submap.seeded_by.index_select(0, heaviest)
     steps = submap.optimiser.steps.index_select(0, heaviest)
-    submap.optimiser = type(submap.optimiser)(steps)
+    submap.optimiser = OptimiserState(steps)
 
 
 def _patch_sizes(submap: Submap) -> Array:

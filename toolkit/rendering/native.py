@@ -102,7 +102,7 @@ class NativeForwardPass:
             result.opacity_logits,
             result.colours,
             result.features,
-            *((shapes.log_scales, shapes.rotations, shapes.harmonics) if shapes else (None,) * 3),
+            *(shapes.tensors().values() if shapes else (None,) * 3),
             result.T_camera_map,
         )
         self._module.backward(
@@ -156,8 +156,7 @@ class NativeRenderer:
             ),
         ]
         if gaussians.ellipsoids is not None:
-            shapes = gaussians.ellipsoids
-            arrays += map(_contiguous, (shapes.log_scales, shapes.rotations, shapes.harmonics))
+            arrays += map(_contiguous, gaussians.ellipsoids.tensors().values())
         region = None if region is None else _contiguous(region, torch.uint8)
         forward_pass = NativeForwardPass(self._module, self._idle, arrays, region)
         forward_pass.render(camera, T_camera_map, gaussians.low_pass, centres)

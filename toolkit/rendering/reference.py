@@ -187,7 +187,7 @@ class ReferenceForwardPass:
         inputs += [self._features, self._T]
         shapes = cloud.ellipsoids
         if shapes is not None:
-            inputs += [shapes.log_scales, shapes.rotations, shapes.harmonics]
+            inputs += shapes.tensors().values()
         with torch.enable_grad():  # autograd calls backward with gradient recording disabled
             images = self._images[: len(image_gradients)]  # only 5 channels without features
             base = images[:BASE_CHANNELS]

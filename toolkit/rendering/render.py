@@ -166,7 +166,7 @@ def render(
         gaussians.opacity_logits,
         gaussians.colours,
         features,
-        *((shapes.log_scales, shapes.rotations, shapes.harmonics) if shapes else ()),
+        *(shapes.tensors().values() if shapes else ()),
     )
     return RenderOutput(images)
 
@@ -234,7 +234,7 @@ class _Render(torch.autograd.Function):
             compact.opacity_logits,
             compact.colours,
             compact.features,
-            *((shapes.log_scales, shapes.rotations, shapes.harmonics) if shapes else ()),
+            *(shapes.tensors().values() if shapes else ()),
         )
         dense: list[Tensor | None] = []
         for parameter, part, need in zip(ctx.parameters, parts, needed[5:], strict=True):

@@ -21,7 +21,6 @@ from toolkit.geometry.camera import Camera
 from toolkit.native import address, kernels_for
 from toolkit.native.constants import (
     BASE_CHANNELS,
-    DEPTH_SUM,
     MAX_DEPTH_STEP,
     MAX_SURFACE_CORRECTION,
     MIN_NORMAL,
@@ -102,10 +101,7 @@ def render_surface(
 
 def _mean_depth(images: Tensor, min_silhouette: float) -> Tensor:
     """The surface depth [H, W] of ellipsoids, whose depth follows their planes."""
-    silhouette = images[SILHOUETTE]
-    solid = silhouette >= min_silhouette
-    safe = torch.where(solid, silhouette, torch.ones_like(silhouette))
-    return torch.where(solid, images[DEPTH_SUM] / safe, torch.zeros_like(safe))
+    return RenderOutput(images).depth_m * (images[SILHOUETTE] >= min_silhouette)
 
 
 def surface_depth(
