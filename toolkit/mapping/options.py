@@ -80,6 +80,11 @@ class MapperOptions:
     """Number of optimisation iterations on the first keyframe."""
     final_iterations: NonNegativeInt = 6
     """Number of optimisation iterations per keyframe in the final refinement."""
+    # Without them, unseen views of a kitchen lose 0.3 dB, in the same number of steps. Four are not
+    # better than two.
+    final_views: NonNegativeInt = 2
+    """Maximum number of frames after each keyframe that the final refinement compares as well. They
+    are stored compressed until then. 0: keyframes only, as in both papers."""
     # Unconstrained, renderings gain 0.1 to 0.4 dB, but walls become a third thicker than unrefined.
     final_on_surfaces: bool = True
     """Constrain centres to their surfaces during the final refinement."""

@@ -84,10 +84,12 @@ class Slam:
         self._closer = front_end.closer
         self._placement, self._unit = front_end.placement, front_end.unit
         self._path = CameraPath()
-        self._between = IntermediateFrames()
         self._preparation = FramePreparation(
             sources or FrameSources(), front_end, mapper, self.atlas, self._path, self._recorder
         )
+        options, measured = mapper.options, self._preparation.correction is None
+        views = options.final_views if options.final_iterations else 0
+        self._between = IntermediateFrames(options.fill_holes, views, measured)
         label = self._preparation.labelled
         self._recovery = Recovery(front_end, mapper, self.atlas, self._path, label, self._recorder)
         self._locator = FrameLocator(front_end, self.atlas, self._recovery, self._recorder)
@@ -182,12 +184,12 @@ class Slam:
                 self._changes.start_if_due(tracking)
                 T_map_camera = self.atlas.keyframes[-1].T_map_camera
             elif again.found is not None:
-                self._between.select(self.atlas.keyframes[-1])
+                self._select_between()
                 if self.mapper.deferred is None:
                     self._map_intermediate_frames()
                 self._changes.enter(again.found, frame, T_map_camera)
                 T_map_camera, tracking = again.found.T_submap_camera, again.found.result
-        elif may_map and self.mapper.options.fill_holes:
+        elif may_map:
             last, exposure = self.atlas.keyframes[-1], exposure_of(tracking)
             self._between.add(frame, last, T_map_camera, exposure)
 
@@ -275,7 +277,7 @@ class Slam:
             progress: wraps the numbers of the refinement's steps, for instance in a progress bar.
         """
         if self.atlas.keyframes:
-            self._between.select(self.atlas.keyframes[-1])
+            self._select_between()
             self._map_intermediate_frames()
             with self._recorder.timed(Stage.REFINEMENT):
                 self._closer.finish(self.atlas, self.mapper)
@@ -329,13 +331,18 @@ class Slam:
             keyframe.prior_m = keyframe.depth_m
         self._refine_pose(keyframe)
         if self.atlas.keyframes:
-            self._between.select(self.atlas.keyframes[-1], keyframe)
+            self._select_between(keyframe)
         with self._recorder.timed(Stage.MAPPING):
             mapping = self.mapper.add_keyframe(self.atlas.current, keyframe)
         if self.mapper.deferred is None:
             self._map_intermediate_frames()
         self._closer.keyframe_added(self.atlas)
         return mapping
+
+    def _select_between(self, newest: Keyframe | None = None) -> None:
+        """Select from the frames between the last keyframe and a new one, or at the end."""
+        last = self.atlas.keyframes[-1]
+        self.atlas.current.views.extend(self._between.select(last, newest))
 
     def _map_intermediate_frames(self) -> None:
         while self.map_intermediate_frame():
