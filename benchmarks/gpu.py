@@ -54,7 +54,7 @@ ON_DEMAND = ("tunings", "profile")
 def compile_table(channels: tuple[int, ...], capabilities: tuple[int, ...]) -> None:
     """What every kernel uses as machine code; no GPU is asked."""
     from benchmarks.gpu_kernels import every_kernel
-    from toolkit.rendering.cuda.backend import Tuning
+    from toolkit.rendering.cuda.tuning import Tuning
 
     columns = ("sm", "channels", "kernel", "registers", "stack bytes", "shared bytes")
     table("Kernels as machine code", *columns, "tensor-core ops")

@@ -24,7 +24,8 @@ from toolkit.geometry.camera import Camera
 from toolkit.native.constants import NEAR_M
 from toolkit.rendering import backend
 from toolkit.rendering.backend import Backend, ForwardPass
-from toolkit.rendering.cuda.backend import CudaRenderer, Tuning
+from toolkit.rendering.cuda.backend import CudaRenderer
+from toolkit.rendering.cuda.tuning import Tuning
 from toolkit.rendering.gsplat import GsplatBackend, load_gsplat
 from toolkit.rendering.reference import ReferenceBackend
 
