@@ -96,6 +96,7 @@ def measure(plan: Plan, parts: list[str], recordings: list[tuple[str, str]]) -> 
         torch.set_deterministic_debug_mode("default")
     if "render" in parts:
         gpu_render.render_table(plan)
+        gpu_render.ellipsoids_table(plan)
     if "tunings" in parts:
         gpu_render.tunings_table(plan)
     if "frames" in parts:

@@ -105,7 +105,8 @@ def every_kernel(capability: int, channels: int, tuning: Tuning) -> list[Compile
     return [
         compiled(projection.project, capability, **few),
         compiled(projection.cover, capability, **few),
-        compiled(projection.list_pairs, capability, **few),
+        compiled(projection.list_pairs, capability, SHAPED=False, **few),
+        _of_ellipsoids(compiled(projection.list_pairs, capability, SHAPED=True, **few)),
         *_of_tiles(capability, channels, tuning, shaped=False),
         *_of_tiles(capability, channels, tuning, shaped=True),
         compiled(reduction.finish, capability, 2, SIDE=tuning.side, COLOURS=True, BLOCK=64),
@@ -139,4 +140,8 @@ def _of_tiles(capability: int, channels: int, tuning: Tuning, *, shaped: bool) -
             **tile,
         ),
     ]
-    return [replace(k, name=f"{k.name}, ellipsoids") for k in pair] if shaped else pair
+    return [_of_ellipsoids(kernel) for kernel in pair] if shaped else pair
+
+
+def _of_ellipsoids(kernel: Compiled) -> Compiled:
+    return replace(kernel, name=f"{kernel.name}, ellipsoids")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from painted_box import box_frames, path
 from torch import Tensor
 
 from toolkit.errors import DependencyError, SettingsError
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.options import MapperOptions
 from toolkit.rendering import map_device
@@ -34,12 +35,13 @@ def walk():
     return box_frames(T_map_camera, *SIZE), T_map_camera
 
 
-def mapped(device: str, walk) -> MappedSubmap:
+def mapped(device: str, walk, shape: Literal["spheres", "ellipsoids"]) -> MappedSubmap:
     """Two keyframes mapped, refined, written down and read again."""
     options = MapperOptions(
         first_iterations=2,
         iterations=3,
         final_iterations=1,
+        final_shape=shape,
         bundle_adjustment=True,
     )
     mapper, again = (
@@ -62,17 +64,14 @@ def shown(mapper: MappedSubmap) -> tuple[Tensor, Tensor]:
     return colours, torch.stack([view.depth_m.cpu() for view in views])
 
 
-@pytest.fixture(scope="module")
-def mapped_here(walk):
-    return mapped("cpu", walk)
-
-
 @needs_gpu
-def test_mapping(walk, mapped_here):
+@pytest.mark.parametrize("shape", ["spheres", "ellipsoids"])
+def test_mapping(walk, shape):
     """The same map but for rounding, which sends a few pixels and Gaussians another way."""
-    mapper = mapped(GPU, walk)
-    for field in PARAMETERS:
-        assert getattr(mapper.gaussians, field).is_cuda, field
+    mapper, mapped_here = mapped(GPU, walk, shape), mapped("cpu", walk, shape)
+    assert (mapper.gaussians.ellipsoids is not None) == (shape == "ellipsoids")
+    for name, tensor in mapper.gaussians.tensors().items():
+        assert tensor.is_cuda, name
     assert mapper.submap.seeded_by.is_cuda and mapper.submap.optimiser.steps.is_cuda
     assert len(mapper.gaussians) == pytest.approx(len(mapped_here.gaussians), rel=0.01)
     for actual, expected in zip(shown(mapper), shown(mapped_here), strict=True):

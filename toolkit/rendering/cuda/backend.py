@@ -112,14 +112,16 @@ class CudaForwardPass:
         visible = len(bins.ids)
         features = torch.empty(visible, channels, device=device)
         width = _SHAPED_SUMS if self._shaped else _SUMS
-        sums = torch.empty(len(bins.rows), width, device=device)
+        # The tiles of ellipsoids do not write all rows; see `list_pairs`.
+        create = torch.zeros if self._shaped else torch.empty
+        sums = create(len(bins.rows), width, device=device)
         if not visible:
             return self._finished(sums, features, colours)
         with on(device):
             width = self._tuning.channels_at_once(len(bins.rows))
             for first in range(0, max(1, channels), width):
                 last = min(first + width, channels)
-                rows = torch.empty(len(bins.rows), last - first, device=device)
+                rows = create(len(bins.rows), last - first, device=device)
                 self._differentiate(by_images, sums, rows, (first, last, channels), not detached)
                 self._add_rows(rows, features, first)
             return self._finished(sums, features, colours)

@@ -30,7 +30,7 @@ class Binning:
         splats: [N, 8] float32, or [N, 12] if the Gaussians are shaped; valid for visible ones.
         ids: [V] int64, ascending ids of the visible Gaussians.
         begins, counts: [V] int64, int32: first row and number of rows of each visible Gaussian.
-        row_tiles: [P] int16 or int32, the tile of each row.
+        row_tiles: [P] int16 or int32, the tile of each row; `tiles` for rows that no tile writes.
         gaussians, rows: [P] int32, int64, Gaussian and row of each pair, sorted by tile and then
             front to back.
         tile_begins: [tiles + 1] int32, index of the first pair of each tile.
@@ -214,6 +214,7 @@ def _pairs(
     gaussians = torch.empty(pairs, dtype=torch.int32, device=device)
     if pairs:
         projection.list_pairs[(triton.cdiv(visible, _BLOCK),)](
+            projected.splats,
             *by_depth,
             projected.rectangles,
             projected.view if grid.region is None else grid.region,
@@ -221,9 +222,11 @@ def _pairs(
             gaussians,
             visible,
             grid.columns,
+            grid.tiles,
             grid.region_columns,
             SIDE=grid.side,
             HAS_REGION=grid.region is not None,
+            SHAPED=projected.splats.shape[1] == projection.SHAPED_SPLAT.value,
             BLOCK=_BLOCK,
         )
     return tiles, gaussians

@@ -62,8 +62,9 @@ def _clear(
         row = tl.load(pair_rows + pair, mask=pair < end, other=0)[:, None]
         valid = (pair < end)[:, None]
         if GEOMETRY:
-            entry = tl.arange(0, WIDE)[None, :]
-            empty = tl.zeros([BATCH, WIDE], dtype=tl.float32)
+            COLUMNS: tl.constexpr = SUMS if WIDTH == SUMS else WIDE
+            entry = tl.arange(0, COLUMNS)[None, :]
+            empty = tl.zeros([BATCH, COLUMNS], dtype=tl.float32)
             tl.store(sums + row * WIDTH + entry, empty, mask=valid & (entry < WIDTH))
         if BLOCK_C > 0:
             for c in range(0, width, BLOCK_C):

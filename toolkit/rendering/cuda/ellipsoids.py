@@ -112,7 +112,10 @@ def gradients_of(
     cloud = _without_features(cloud)
     names = ["means", "opacity_logits", "colours"]
     names += ["log_radii"] if cloud.ellipsoids is None else cloud.ellipsoids.tensors()
-    found = {n: torch.zeros_like(tensor[ids]) for n, tensor in cloud.tensors().items()}
+    found = {
+        name: tensor.new_zeros(len(ids), *tensor.shape[1:])
+        for name, tensor in cloud.tensors().items()
+    }
     pose = _pose(T_camera_map, ids.device)
     by_pose = torch.zeros_like(pose)
     for first in range(0, len(ids), _PART):

@@ -142,6 +142,34 @@ def project(
     tl.store(at + 7, z, mask=seen)
 
 
+@triton.jit
+def _shape(splat, valid):
+    """Load a, b, c and the maximum of s^2 + t^2 [block] of pixels that pass the alpha test.
+
+    The latter is slightly enlarged, so that rounding never removes pixels.
+    """
+    a = tl.load(splat + 2, mask=valid, other=1.0)
+    b = tl.load(splat + 8, mask=valid, other=0.0)
+    c = tl.load(splat + 9, mask=valid, other=1.0)
+    opacity = tl.load(splat + 3, mask=valid, other=1.0)
+    return a, b, c, tl.log(tl.maximum(opacity, MIN_ALPHA) / MIN_ALPHA) * 1.001 + 1e-4
+
+
+@triton.jit
+def _touches(shape, dx, dy, SIDE: tl.constexpr):
+    """Check whether ellipses touch tiles, whose first pixels are at (dx, dy) from the centres."""
+    a, b, c, support = shape
+    right, bottom = dx + (SIDE - 1), dy + (SIDE - 1)
+    # The nearest point lies on an edge that faces the centre, or is the centre.
+    x = tl.minimum(tl.maximum(0.0, dx), right)
+    y = tl.minimum(tl.maximum(0.0, dy), bottom)
+    down = tl.minimum(tl.maximum(-a * b / (b * b + c * c) * x, dy), bottom)
+    across = tl.minimum(tl.maximum(-b / a * y, dx), right)
+    beside, above = a * x + b * down, a * across + b * y
+    least = tl.minimum(beside * beside + c * c * down * down, above * above + c * c * y * y)
+    return least <= support
+
+
 @triton.jit(do_not_specialize=["count"])
 def cover(
     splats,
@@ -161,16 +189,15 @@ def cover(
     valid = i < count
     at = splats + i * SHAPED_SPLAT
     u, v = tl.load(at, mask=valid, other=0.0), tl.load(at + 1, mask=valid, other=0.0)
-    a, opacity = tl.load(at + 2, mask=valid, other=0.0), tl.load(at + 3, mask=valid, other=0.0)
-    z, b = tl.load(at + 7, mask=valid, other=0.0), tl.load(at + 8, mask=valid, other=0.0)
-    c = tl.load(at + 9, mask=valid, other=0.0)
+    opacity = tl.load(at + 3, mask=valid, other=0.0)
+    z = tl.load(at + 7, mask=valid, other=0.0)
+    a, b, c, support = _shape(at, valid)
     # The determinant of the covariance is 1 / (2 a c)^2, and its trace is in proportion to it and
     # a^2 + b^2 + c^2. Comparisons with NaN are false, so Gaussians with NaN are invisible.
     thick = a * a + b * b + c * c < 0.5 / (MIN_SIGMA_PX * MIN_SIGMA_PX)
     seen = valid & (z > NEAR_M) & (opacity > MIN_ALPHA) & thick & (a * c > MIN_FACTOR)
-    reach = tl.log(tl.where(seen, opacity, 1.0) / MIN_ALPHA) * 1.0001 + 1e-4
-    a, c = tl.where(seen, a, 1.0), tl.where(seen, c, 1.0)
-    across, down = tl.sqrt(reach * (1.0 + b * b / (c * c))) / a, tl.sqrt(reach) / c
+    a, c, support = tl.where(seen, a, 1.0), tl.where(seen, c, 1.0), tl.where(seen, support, 0.0)
+    across, down = tl.sqrt(support * (1.0 + b * b / (c * c))) / a, tl.sqrt(support) / c
     _cover(
         (u, v, across, down),
         seen,
@@ -186,6 +213,7 @@ def cover(
 
 @triton.jit(do_not_specialize=["visible"])
 def list_pairs(
+    splats,
     gaussians,
     begins,
     rectangles,
@@ -194,14 +222,17 @@ def list_pairs(
     pair_gaussians,
     visible,
     tiles_x,
+    tiles,
     region_columns,
     SIDE: tl.constexpr,
     HAS_REGION: tl.constexpr,
+    SHAPED: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
     """List tile [P] and Gaussian [P] of every pair; the pairs of one Gaussian are contiguous.
 
-    The pairs of the Gaussian `gaussians[j]` start at index `begins[j]`.
+    The pairs of the Gaussian `gaussians[j]` start at index `begins[j]`. Tiles that an ellipse does
+    not touch are listed as the tile behind the last one, which is not rendered.
     """
     j = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     valid = j < visible
@@ -212,12 +243,18 @@ def list_pairs(
     tile_y = tl.load(at + 1, mask=valid, other=0).to(tl.int32)
     columns = tl.load(at + 2, mask=valid, other=1).to(tl.int32)
     area = columns * tl.load(at + 3, mask=valid, other=0).to(tl.int32)
+    if SHAPED:
+        splat = splats + i * SHAPED_SPLAT
+        u, v = tl.load(splat, mask=valid, other=0.0), tl.load(splat + 1, mask=valid, other=0.0)
+        shape = _shape(splat, valid)
     for k in range(tl.max(area, axis=0)):
         x, y = tile_x + k % columns, tile_y + k // columns
         inside = k < area
         if HAS_REGION:
             inside = _in_region(region, x, y, region_columns, inside, SIDE)
         tile = y * tiles_x + x
+        if SHAPED:
+            tile = tl.where(_touches(shape, x * SIDE - u, y * SIDE - v, SIDE), tile, tiles)
         tl.store(pair_tiles + place, tile.to(pair_tiles.dtype.element_ty), mask=inside)
         tl.store(pair_gaussians + place, i.to(tl.int32), mask=inside)
         place += inside.to(tl.int64)
