@@ -87,17 +87,16 @@ def test_needles_and_discs(low_pass: LowPass) -> None:
 
 @pytest.mark.parametrize("ratio", [50.0, 500.0])
 def test_gradients_of_needles_keep_single_precision(ratio: float) -> None:
-    """The gradients of the thin axes are small; the usual inverse covariance loses 3 % of them."""
+    """Each axis by itself; a chain rule in float32 loses the gradient of the long one."""
     camera = Camera(100.0, 100.0, 10.0, 8.0, 24, 18)
-    scene = scene_at_pixels([(11.3, 8.6)], camera, channels=0, opacity=0.8)
-    long_m = 0.1
-    shapes = shaped([[long_m, long_m / ratio, long_m / ratio]], [[0.9, 0.1, 0.2, 0.35]])
+    scene = scene_at_pixels([(11.3, 8.6)], camera, opacity=0.8)
+    shapes = shaped([[0.006 * ratio, 0.006, 0.006]], [[0.9, 0.1, 0.2, 0.35]])
     scene = scene.with_cloud(ellipsoids=shapes)
     weights = scene.loss_weights()
-    expected = gradients_of(exact(scene), ReferenceBackend(), weights)["log_scales"]
-    actual = gradients_of(scene, Cuda(), weights)["log_scales"].double()
-    for axis in range(3):
-        assert float(actual[0, axis]) == pytest.approx(float(expected[0, axis]), rel=2e-5 * ratio)
+    expected = gradients_of(exact(scene), ReferenceBackend(), weights)
+    actual = gradients_of(scene, Cuda(), weights)
+    for name in ("log_scales", "rotations"):
+        np.testing.assert_allclose(actual[name].numpy(), expected[name].numpy(), rtol=1e-4)
 
 
 def test_outside_of_the_view() -> None:
