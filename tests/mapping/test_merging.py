@@ -10,12 +10,10 @@ import torch
 from mapped_room import depth_error_m, fed, psnr_db
 from mapped_submap import MappedSubmap
 
-from toolkit.errors import SettingsError
 from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.merging import PATCH_PX, to_ellipsoids
 from toolkit.mapping.options import MapperOptions
 from toolkit.submaps.submap import Submap
@@ -146,9 +144,3 @@ def test_spheres_can_be_added_to_ellipsoids(room) -> None:
     assert len(submap.gaussians.ellipsoids) == before + 5
     submap.remove(torch.arange(before + 5) < before)
     assert len(submap.gaussians) == 5
-
-
-@pytest.mark.parametrize(("backend", "device"), [("auto", "cuda"), ("cuda", "cpu")])
-def test_a_gpu_refuses_ellipsoids_before_the_first_frame(backend: str, device: str) -> None:
-    with pytest.raises(SettingsError, match="use --device cpu, or spheres"):
-        Mapper(MapperOptions(final_shape="ellipsoids"), None, backend, device=device)
