@@ -28,7 +28,7 @@ _MAX_BYTES = 2**32
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 # Deeper trees of nodes are cycles.
-_MAX_DEPTH = 1000
+_MAX_DEPTH = 200
 
 
 @dataclass(frozen=True)
