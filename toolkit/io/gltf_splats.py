@@ -246,24 +246,14 @@ def _primitive(document: GltfDocument, primitive: dict[str, Any]) -> Columns:
         _log.warning("%s: kernel %r is unknown; splats are read as ellipsoids.", path, kernel)
     if primitive.get("mode") != _POINTS:
         raise FormatError(f"{path}: splats must be points (mode 0); write the file again")
+    count = len(_values(document, attributes, "POSITION", 3))
 
     def values(name: str, width: int) -> NDArray:
-        if name not in attributes:
-            raise FormatError(f"{path}: the splats have no attribute {name}; write the file again")
-        found = document.accessor(attributes[name])
-        if found.shape != (count or len(found), width):
-            raise FormatError(
-                f"{path}: attribute {name} has shape {list(found.shape)}, instead of "
-                f"{[count or len(found), width]}; write the file again"
-            )
-        return found
+        return _values(document, attributes, name, width, count)
 
-    count = 0
-    positions = values("POSITION", 3)
-    count = len(positions)
     scale = values(_PREFIX + "SCALE", 3).astype(np.float64)
     columns = {
-        "positions": positions,
+        "positions": values("POSITION", 3),
         "rot": np.roll(values(_PREFIX + "ROTATION", 4).astype(np.float64), 1, axis=1),
         # Negative scales are not valid.
         "scale": np.where(scale < 0, np.nan, scale),
@@ -275,14 +265,41 @@ def _primitive(document: GltfDocument, primitive: dict[str, Any]) -> Columns:
     if degree:
         harmonics = [values(name, 3) for name in names[: (degree + 1) ** 2 - 1]]
         columns["f_rest"] = np.stack(harmonics, axis=1).astype(np.float32)
-    for name, index in attributes.items():
-        key = name[1:].lower()
-        if (
-            name.startswith("_")
-            and key not in OWN_COLUMNS
-            and document.tree["accessors"][index]["type"] == "SCALAR"
-        ):
-            column = values(name, 1)
-            is_integer = np.issubdtype(column.dtype, np.integer)
-            columns[key] = column.astype(np.int32 if is_integer else np.float32)
+    for name in _scalars(document, attributes):
+        column = values(name, 1)
+        is_integer = np.issubdtype(column.dtype, np.integer)
+        columns[name[1:].lower()] = column.astype(np.int32 if is_integer else np.float32)
     return in_srgb(path, columns, description.get("colorSpace", _DESCRIPTION["colorSpace"]))
+
+
+def _values(
+    document: GltfDocument,
+    attributes: Mapping[str, int],
+    name: str,
+    width: int,
+    count: int | None = None,
+) -> NDArray:
+    """The values [N, width] of an attribute, of `count` splats if it is known."""
+    if name not in attributes:
+        raise FormatError(
+            f"{document.path}: the splats have no attribute {name}; write the file again"
+        )
+    values = document.accessor(attributes[name])
+    expected = (len(values) if count is None else count, width)
+    if values.shape != expected:
+        raise FormatError(
+            f"{document.path}: attribute {name} has shape {list(values.shape)}, instead of "
+            f"{list(expected)}; write the file again"
+        )
+    return values
+
+
+def _scalars(document: GltfDocument, attributes: Mapping[str, int]) -> list[str]:
+    """The attributes of applications with one number for each splat."""
+    return [
+        name
+        for name, index in attributes.items()
+        if name.startswith("_")
+        and name[1:].lower() not in OWN_COLUMNS
+        and entry(document.tree["accessors"], index)["type"] == "SCALAR"
+    ]

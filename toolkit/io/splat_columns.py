@@ -61,8 +61,8 @@ class SplatScene:
     def T_scene_file(self) -> NDArray[np.float64]:
         """Transformation [4, 4] of the node: splats are stored after a half turn about x.
 
-        So they are nearly upright for programs that ignore transformations, and the harmonics,
-        which few programs rotate, are exact if no floor is known.
+        So they are nearly upright for programs that ignore transformations. Without a known floor,
+        there is no transformation, and harmonics are exact in programs that do not rotate them.
         """
         return self.T_scene_map @ HALF_TURN
 
