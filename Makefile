@@ -145,7 +145,8 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 # Splats as glTF are checked with the validator of the Khronos Group; without npm, this is skipped.
 .stamps/gltf-validator: | .stamps
 	@if command -v npm >/dev/null; then \
-		npm install --silent --no-audit --no-fund --prefix .stamps/node gltf-validator@2.0.0-dev.3.10 || true; \
+		npm install --silent --no-audit --no-fund --fetch-retries 0 --prefix .stamps/node \
+			gltf-validator@2.0.0-dev.3.10 || true; \
 	fi
 	@if [ -d .stamps/node/node_modules/gltf-validator ]; then touch $@; fi
 
