@@ -28,8 +28,9 @@ class ExportOptions:
     """File to write, or folder (new or empty) of COLMAP and nerfstudio formats."""
     format: ExportFormat | None = None
     """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply, .splat,
-    .spz), mesh (.mesh.ply), points (.pcd), gltf (.glb, .gltf), labelled-points (.las, .laz),
-    occupancy-grid (.yaml), trajectory (.txt, .tum) or viewer (.html)."""
+    .spz, .splats.glb, .splats.gltf, .usda, .usdc, .usd, .usdz), mesh (.mesh.ply), points (.pcd),
+    gltf, a mesh (.glb, .gltf), labelled-points (.las, .laz), occupancy-grid (.yaml), trajectory
+    (.txt, .tum) or viewer (.html)."""
     spz_version: Literal[2, 4] = 4
     """Version of .spz files; more viewers read version 2."""
     mesh: bool = False
@@ -69,6 +70,8 @@ class ExportOptions:
             return "mesh"
         if self.points:
             return "points"
+        if name.endswith((".splats.glb", ".splats.gltf")):
+            return "splats"
         return _FORMATS_BY_SUFFIX.get(self.to.suffix.lower(), "splats")
 
 
@@ -90,7 +93,7 @@ class ViewOptions:
     """Show a map in the browser, with cameras, classes, submaps and loops; Ctrl-C stops."""
 
     map: Positional[Path]
-    """Run folder, or a splat file (.ply, .splat, .spz)."""
+    """Run folder, or a splat file (.ply, .splat, .spz, glTF, USD)."""
     live: bool = False
     """Follow a run in progress."""
     host: str = "127.0.0.1"

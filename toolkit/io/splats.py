@@ -1,4 +1,4 @@
-"""Gaussian splat files (.ply, .splat, .spz) in the layout of 3DGS viewers.
+"""Gaussian splat files (.ply, .splat, .spz, glTF, USD) in the layout of 3DGS viewers.
 
 Files store opacity as a logit, scale as a logarithm, rotation as a quaternion wxyz and colour as
 the coefficient f_dc of the constant spherical harmonic: colour = 0.5 + 0.28209479 f_dc. Open3D
@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -21,7 +21,14 @@ from toolkit.errors import DatasetError, FormatError, RunFolderError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing, write_bytes
 from toolkit.io.compressed_ply import is_compressed_ply, read_compressed_ply
+from toolkit.io.splat_columns import SplatScene
 from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.splat_scenes import (
+    SCENE_SUFFIXES,
+    read_splat_scene,
+    scene_comments,
+    write_splat_scene,
+)
 from toolkit.io.splat_shapes import SplatShapes
 from toolkit.io.spz import spz_version_2
 
@@ -29,9 +36,9 @@ _log = logging.getLogger(__name__)
 
 PathLike = str | os.PathLike[str]
 
-SUFFIXES = (".ply", ".splat", ".spz")
+SUFFIXES = (".ply", ".splat", ".spz", *SCENE_SUFFIXES)
 # Other formats of splats, which are not read.
-FOREIGN_SUFFIXES = (".ksplat", ".sog", ".lcc", ".rad", ".splatv", ".glb", ".gltf", ".usdz")
+FOREIGN_SUFFIXES = (".ksplat", ".sog", ".lcc", ".rad", ".splatv")
 # A .spz file has the axes of its specification: x right, y up, z backward. Open3D does not convert
 # them, neither when it reads nor when it writes.
 _SPZ_AXES = np.array([1, -1, -1], np.float32)
@@ -159,11 +166,11 @@ def export_splats(
     comments: Sequence[str] = (),
     spz_version: Literal[2, 4] = 4,
 ) -> None:
-    """Write splats for viewers as `.ply`, `.splat` or `.spz`, depending on the suffix.
+    """Write splats for viewers in the format of the suffix, one of `SUFFIXES`.
 
     `.splat` and `.spz` quantise colour, opacity and scale to about 8 bits, clamp colours to [0, 1]
-    and do not support additional columns; only `.ply` stores `extra` and comments, of a line each.
-    Version 2 of `.spz` is read by more viewers than version 4.
+    and do not support additional columns; `.ply`, glTF and USD store `extra` and comments, of a
+    line each. Version 2 of `.spz` is read by more viewers than version 4.
 
     Raises:
         ValueError: the suffix is not supported.
@@ -171,7 +178,9 @@ def export_splats(
     """
     if Path(path).suffix not in SUFFIXES:
         raise ValueError(f"{path} must end in one of {', '.join(SUFFIXES)}")
-    if Path(path).suffix == ".ply":
+    if Path(path).suffix in SCENE_SUFFIXES:
+        export_splat_scene(path, splats, extra, SplatScene(comments=tuple(comments)))
+    elif Path(path).suffix == ".ply":
         write_splat_ply(path, splats, extra)
         if comments:
             _add_comments(Path(path), comments)
@@ -182,6 +191,20 @@ def export_splats(
         if Path(path).suffix == ".spz":
             _reverse_axes(cloud)
         _write(path, cloud)
+
+
+def export_splat_scene(
+    path: PathLike, splats: SplatLike, extra: Mapping[str, NDArray] | None, scene: SplatScene
+) -> None:
+    """Write splats as glTF or USD, depending on the suffix, with the placement of a scene.
+
+    Raises:
+        DependencyError: a package is missing.
+        RunFolderError: the file cannot be written, or there is nothing to write.
+    """
+    if splats.ellipsoids is not None and splats.pixel_filter:
+        scene = replace(scene, comments=(*scene.comments, _FILTER_COMMENT.decode()))
+    write_splat_scene(Path(path), _columns_of(path, splats), extra or {}, scene)
 
 
 def _add_comments(path: Path, comments: Sequence[str]) -> None:
@@ -243,13 +266,14 @@ def is_splat_file(path: PathLike) -> bool:
 
 
 def read_splats(path: PathLike) -> Splats:
-    """Read a `.ply`, `.splat` or `.spz` file; columns are found by name.
+    """Read a file of one of the `SUFFIXES`; columns are found by name.
 
-    A `.ply` may be compressed, as SuperSplat writes it. The axes of a `.spz` file are converted to
-    those of `.ply`.
+    A `.ply` may be compressed, as SuperSplat writes it. The axes of `.spz`, glTF and USD are
+    converted to those of `.ply`.
 
     Raises:
         DatasetError: the file is missing.
+        DependencyError: the format is USD, and usd-core is missing.
         FormatError: the file is not a splat file, or is truncated.
     """
     if not Path(path).is_file():
@@ -287,6 +311,8 @@ def read_splats(path: PathLike) -> Splats:
 
 
 def _is_filtered(path: Path) -> bool:
+    if path.suffix in SCENE_SUFFIXES:
+        return _FILTER_COMMENT.decode() in scene_comments(path)
     if path.suffix != ".ply":
         return False
     with path.open("rb") as file:
@@ -295,6 +321,8 @@ def _is_filtered(path: Path) -> bool:
 
 def _columns(path: Path) -> dict[str, NDArray]:
     """The arrays of a splat file, with Open3D's names."""
+    if path.suffix in SCENE_SUFFIXES:
+        return read_splat_scene(path)
     if path.suffix == ".ply":
         if is_compressed_ply(path):
             return read_compressed_ply(path)
@@ -370,10 +398,18 @@ def _check_spz(path: Path) -> None:
 
 def _open3d_cloud(path: PathLike, splats: SplatLike, clamped: bool = False) -> Any:
     """Convert splats to an Open3D tensor point cloud."""
+    o3d = open3d()
+    cloud = o3d.t.geometry.PointCloud()
+    for name, values in _columns_of(path, splats, clamped).items():
+        cloud.point[name] = o3d.core.Tensor(np.ascontiguousarray(values, dtype=np.float32))
+    return cloud
+
+
+def _columns_of(path: PathLike, splats: SplatLike, clamped: bool = False) -> dict[str, NDArray]:
+    """The columns of splats, with Open3D's names."""
     means = _array(splats.means)
     if len(means) == 0:
         raise RunFolderError(f"cannot write {path}: the map contains no Gaussians")
-    o3d = open3d()
     scales_m = np.repeat(np.exp(_array(splats.log_radii))[:, None], 3, axis=1)
     colours = _array(splats.colours)
     if clamped:
@@ -386,7 +422,7 @@ def _open3d_cloud(path: PathLike, splats: SplatLike, clamped: bool = False) -> A
         rotations = rotations / np.linalg.norm(rotations, axis=1, keepdims=True)
         if shapes.harmonics.shape[1]:
             harmonics["f_rest"] = _array(shapes.harmonics)
-    attributes = {
+    return {
         "positions": means,
         "f_dc": (colours - np.float32(0.5)) / np.float32(CONSTANT_HARMONIC),
         "opacity": _array(splats.opacity_logits)[:, None],
@@ -394,10 +430,6 @@ def _open3d_cloud(path: PathLike, splats: SplatLike, clamped: bool = False) -> A
         "rot": rotations,
         **harmonics,
     }
-    cloud = o3d.t.geometry.PointCloud()
-    for name, values in attributes.items():
-        cloud.point[name] = o3d.core.Tensor(np.ascontiguousarray(values, dtype=np.float32))
-    return cloud
 
 
 def _write(path: PathLike, cloud: Any) -> None:

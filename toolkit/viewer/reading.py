@@ -29,7 +29,7 @@ def read_scene(path: Path, content: ShownContent) -> ViewerScene:
     """Describe what a viewer shows of a finished run or of a splat file.
 
     Args:
-        path: run folder, or a splat file (.ply, .splat, .spz).
+        path: run folder, or a splat file.
         content: what is shown.
 
     Raises:
