@@ -99,6 +99,7 @@ def measure(name: str, seed: int) -> Metrics:
     """Run one variant; metrics.json, and the unseen views by what they show."""
     place = room(name, seed)
     dataset = open_dataset("synthetic", place)
+    assert dataset.ground_truth is not None
     values = {"dataset": {"kind": "synthetic", "path": str(place)}, "seed": seed}
     with finished_slam(validated(RunSettings, values), dataset) as run:
         estimate = run.result.trajectory
@@ -119,6 +120,7 @@ def unseen_scores(scene: GaussianScene, T_world_map: NDArray, place: Path, gloss
         glossy: folder of its glossy variant.
     """
     unseen = open_dataset("synthetic", place / "unseen")
+    assert unseen.ground_truth is not None
     scores: dict[str, list[float | None]] = {}
     for index, T_world_camera in enumerate(unseen.ground_truth.T_world_camera):
         frame = unseen[index]
