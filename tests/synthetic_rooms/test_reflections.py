@@ -137,6 +137,9 @@ def test_depth_is_that_of_the_mirror_image_the_floor_or_missing():
     reflection = Reflection(finish.astype(np.uint8), surface_m, image_m)
     measured = measured_depth(reflection, cosine)
     np.testing.assert_array_equal(measured, [[2.0, 2.0, 5.0, 0.0, 2.0, 0.0]])
+    # A mirror image out of range is missing, since files of depth end at 10 m.
+    far = measured_depth(replace(reflection, image_m=np.full((1, 6), 9.0, np.float32)), cosine)
+    np.testing.assert_array_equal(far, [[2.0, 2.0, 0.0, 0.0, 2.0, 0.0]])
 
 
 def test_a_hung_mirror_has_a_frame_around_its_glass():

@@ -23,6 +23,8 @@ _RAISED_M = 0.0015
 # Screens return depth between these cosines of the viewing angle: seen from the front, they send
 # the light of the projector back as glare, and at grazing angles away from the camera.
 RETURNED_COSINES = (0.4, 0.75)
+# Range of the depth camera. The files of a room hold depth below 10 m.
+FARTHEST_M = 8.0
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,9 @@ class Reflection:
 def measured_depth(reflection: Reflection, cosine: NDArray[np.float32]) -> NDArray[np.float32]:
     """Depth [H, W] that a structured-light or time-of-flight camera measures, 0 where missing.
 
-    A mirror returns the light of what it shows, so the mirror image is measured. A lacquered floor
-    scatters enough light for its own depth. Screens return depth at middle angles only.
+    A mirror returns the light of what it shows, so the mirror image is measured, if it is within
+    the range of the camera. A lacquered floor scatters enough light for its own depth. Screens
+    return depth at middle angles only.
 
     Args:
         reflection: what the surfaces reflect.
@@ -54,6 +57,7 @@ def measured_depth(reflection: Reflection, cosine: NDArray[np.float32]) -> NDArr
     low, high = RETURNED_COSINES
     lost = (reflection.finish == Finish.SCREEN) & ((cosine < low) | (cosine > high))
     mirror = reflection.finish == Finish.MIRROR
+    lost |= mirror & (reflection.image_m > FARTHEST_M)
     seen_m = np.where(mirror, reflection.image_m, reflection.surface_m)
     return np.where(lost, np.float32(0.0), seen_m)
 
