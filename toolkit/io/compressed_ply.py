@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 _CHUNK = 256
 _ENDS = ("min", "max")
+# Comment of splats that were fitted with a filter of pixels that preserves opacity.
+MIP_COMMENT = "SplatRenderMode: mip"
 _TYPES = {"float": "<f4", "uint": "<u4", "uchar": "u1"}
 # Range of the harmonics.
 _HARMONIC_RANGE = 8.0
@@ -133,8 +135,13 @@ def _rotations(packed: NDArray[np.uint32]) -> Array:
     return join_largest(largest, others * 2**0.5)
 
 
-def write_compressed_ply(path: Path, columns: Columns) -> Order:
+def write_compressed_ply(path: Path, columns: Columns, is_filtered: bool = False) -> Order:
     """Write a compressed PLY, in Morton order, so that the ranges of the chunks are small.
+
+    Args:
+        path: the file.
+        columns: the splats.
+        is_filtered: whether they were fitted with a filter of pixels, as in Mip-Splatting.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -167,18 +174,19 @@ def write_compressed_ply(path: Path, columns: Columns) -> Order:
         rows.astype("<u4"),
         steps.clip(0, 255).astype(np.uint8),
     )
-    header = _header(len(order), harmonics.shape[1])
+    header = _header(len(order), harmonics.shape[1], is_filtered)
     write_bytes(path, header + b"".join(part.tobytes() for part in body))
     return order
 
 
-def _header(count: int, harmonics: int) -> bytes:
+def _header(count: int, harmonics: int, is_filtered: bool) -> bytes:
     axes = [f"{end}_{prefix}{axis}" for prefix in ("", "scale_") for end in _ENDS for axis in "xyz"]
     colours = [f"{end}_{colour}" for end in _ENDS for colour in "rgb"]
     packed = ("position", "rotation", "scale", "color")
     lines = [
         "ply",
         "format binary_little_endian 1.0",
+        *([f"comment {MIP_COMMENT}"] if is_filtered else []),
         f"element chunk {-(-count // _CHUNK)}",
         *(f"property float {name}" for name in axes + colours),
         f"element vertex {count}",

@@ -23,7 +23,7 @@ def read_with_open3d(path: Path) -> Columns:
         # Every array is copied: if one of Open3D's own still exists at the end of the process,
         # Open3D prints statistics of its memory and changes the exit status to 1.
         return {name: point[name].numpy().copy() for name in point}
-    except RuntimeError as error:
+    except (RuntimeError, ValueError, IndexError) as error:
         raise FormatError(
             f"{path} cannot be read ({_first_line(error)}); write it again"
         ) from error

@@ -27,6 +27,8 @@ META = "meta.json"
 FIRST_ROTATION_TAG = 252
 # Entries of the palette of harmonics in a row of its image.
 PALETTE_COLUMNS = 64
+# Value of the key `model` if splats were fitted with a filter of pixels, as in Mip-Splatting.
+FILTERED_MODEL = "antialiased"
 _CODEBOOK = 256
 
 Array = NDArray[np.float64]
@@ -54,6 +56,14 @@ def read_sog(path: Path) -> Columns:
         raise _cannot_read(path, f"{META} or an image is not as it must be: {error!r}") from error
     except (OSError, EOFError) as error:
         raise _cannot_read(path, f"an image or {META} is missing or damaged: {error}") from error
+
+
+def is_filtered_sog(path: Path) -> bool:
+    """Whether a file that `read_sog` has read says that its splats were fitted with a filter."""
+    if path.suffix.lower() == ".json":
+        return _json(path.read_bytes()).get("model") == FILTERED_MODEL
+    with zipfile.ZipFile(path) as bundle:
+        return _json(bundle.read(META)).get("model") == FILTERED_MODEL
 
 
 def _cannot_read(path: Path, reason: str) -> FormatError:

@@ -16,7 +16,7 @@ from toolkit.io.atomic import write_bytes
 from toolkit.io.morton import morton_order
 from toolkit.io.quantisation import codebook, nearest_codes, palette
 from toolkit.io.smallest_three import split_largest
-from toolkit.io.sog import FIRST_ROTATION_TAG, META, PALETTE_COLUMNS
+from toolkit.io.sog import FILTERED_MODEL, FIRST_ROTATION_TAG, META, PALETTE_COLUMNS
 from toolkit.io.splat_columns import HARMONICS, Columns, Order, harmonics_of, opacities_of
 
 _VERSION = 2
@@ -29,8 +29,13 @@ Part = dict[str, Any]
 Files = dict[str, bytes]
 
 
-def write_sog(path: Path, columns: Columns) -> Order:
+def write_sog(path: Path, columns: Columns, is_filtered: bool = False) -> Order:
     """Write a `.sog` file, sorted in Morton order, which compresses better.
+
+    Args:
+        path: the file.
+        columns: the splats.
+        is_filtered: whether they were fitted with a filter of pixels, as in Mip-Splatting.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -42,6 +47,8 @@ def write_sog(path: Path, columns: Columns) -> Order:
         "asset": {"generator": "semsplat"},
         "count": len(order),
     }
+    if is_filtered:
+        meta["model"] = FILTERED_MODEL
     files: Files = {}
     for name, write in (
         ("means", _means),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.io.atomic import write_bytes
-from toolkit.io.compressed_ply import is_compressed_ply, read_compressed_ply
+from toolkit.io.compressed_ply import MIP_COMMENT, is_compressed_ply, read_compressed_ply
 from toolkit.io.open3d_splats import read_with_open3d, write_with_open3d
 from toolkit.io.splat_columns import Columns
 
@@ -71,10 +71,11 @@ def write_ply(
         write_bytes(path, head + lines + b"\nelement " + rest)
 
 
-def is_filtered(path: Path) -> bool:
-    """Whether a PLY has the comment of semsplat's pixel filter."""
+def is_filtered_ply(path: Path) -> bool:
+    """Whether a PLY has a comment that its splats were fitted with a filter of pixels."""
     with path.open("rb") as file:
-        return FILTER_COMMENT.encode() in file.read(_MAX_HEADER).partition(b"end_header")[0]
+        header = file.read(_MAX_HEADER).partition(b"end_header")[0]
+    return any(comment.encode() in header for comment in (FILTER_COMMENT, MIP_COMMENT))
 
 
 def _check_length(path: Path) -> None:
@@ -92,9 +93,9 @@ def _check_length(path: Path) -> None:
         return
     expected, count = 0, 0
     for line in words:
-        if line[:1] == ["element"]:
+        if line[:1] == ["element"] and len(line) == 3 and line[2].isdecimal():
             count = int(line[2])
-        elif line[:1] == ["property"] and line[1] in _BYTES:
+        elif line[:1] == ["property"] and len(line) == 3 and line[1] in _BYTES:
             expected += count * _BYTES[line[1]]
     if len(body) < expected:
         raise FormatError(

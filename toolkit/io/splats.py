@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError, FormatError
-from toolkit.io.compressed_ply import write_compressed_ply
+from toolkit.io.compressed_ply import MIP_COMMENT, write_compressed_ply
 from toolkit.io.dot_splat import read_dot_splat, write_dot_splat
 from toolkit.io.ksplat import read_ksplat
 from toolkit.io.label_files import read_label_file, write_label_file
-from toolkit.io.sog import read_sog
+from toolkit.io.sog import is_filtered_sog, read_sog
 from toolkit.io.sog_writing import write_sog
 from toolkit.io.splat_columns import (
     CONSTANT_HARMONIC,
@@ -34,9 +34,9 @@ from toolkit.io.splat_columns import (
     shapes_of,
 )
 from toolkit.io.splat_labels import SplatLabels
-from toolkit.io.splat_plys import FILTER_COMMENT, is_filtered, read_ply, write_ply
+from toolkit.io.splat_plys import FILTER_COMMENT, is_filtered_ply, read_ply, write_ply
 from toolkit.io.splat_shapes import SplatShapes
-from toolkit.io.spz import SpzVersion, read_spz, write_spz
+from toolkit.io.spz import SpzVersion, is_filtered_spz, read_spz, write_spz
 
 PathLike = str | os.PathLike[str]
 
@@ -50,9 +50,17 @@ _READERS: dict[str, Callable[[Path], Columns]] = {
 }
 # SOG that is not bundled; other files end in .json, too.
 _READERS_BY_NAME = {"meta.json": read_sog}
-# Formats beside PLY. They have no room for labels, which are written to a file beside them.
-_WRITERS: dict[str, Callable[[Path, Columns], Order]] = {
-    ".splat": write_dot_splat,
+# Formats that say whether splats were fitted with a filter of pixels, see `Splats.pixel_filter`.
+_IS_FILTERED: dict[str, Callable[[Path], bool]] = {
+    _PLY: is_filtered_ply,
+    _SPZ: is_filtered_spz,
+    ".sog": is_filtered_sog,
+    ".json": is_filtered_sog,
+}
+# Formats beside PLY; the last argument is whether splats were fitted with a filter of pixels. They
+# have no room for labels, which are written to a file beside them.
+_WRITERS: dict[str, Callable[[Path, Columns, bool], Order]] = {
+    ".splat": lambda path, columns, _: write_dot_splat(path, columns),
     _SPZ: write_spz,
     ".sog": write_sog,
     _COMPRESSED_PLY: write_compressed_ply,
@@ -78,8 +86,8 @@ class Splats:
         extra: additional columns [N] by name, such as `submap` (int32) or those of `labels`.
         ellipsoids: shapes and harmonics; None if all splats are isotropic and look the same from
             everywhere.
-        pixel_filter: whether the file says that its ellipsoids were fitted with semsplat's filter,
-            and not with that of 3DGS.
+        pixel_filter: whether the file says that its ellipsoids were fitted with the filter of
+            pixels of semsplat and Mip-Splatting, and not with that of 3DGS.
         taxonomy: JSON values of the class tree, from a file of labels beside the splats.
     """
 
@@ -127,8 +135,7 @@ def write_splat_ply(
     path = Path(path)
     if path.suffix != _PLY:
         raise ValueError(f"{path} must end in .ply")
-    is_fitted = splats.ellipsoids is not None and splats.pixel_filter
-    lines = [*comments, *([FILTER_COMMENT] if is_fitted else [])]
+    lines = [*comments, *([FILTER_COMMENT] if _is_filtered(splats) else [])]
     write_ply(path, columns_of(path, splats), extra or {}, lines)
 
 
@@ -159,12 +166,13 @@ def export_splats(
     """
     path, suffix = Path(path), _written_suffix(Path(path))
     if suffix == _PLY:
-        write_splat_ply(path, splats, extra, comments)
+        mip = [MIP_COMMENT] if _is_filtered(splats) else []
+        write_splat_ply(path, splats, extra, [*comments, *mip])
         return
     if suffix not in _WRITERS:
         raise ValueError(f"{path} must end in one of {', '.join(WRITTEN_SUFFIXES)}")
     write = partial(write_spz, version=spz_version) if suffix == _SPZ else _WRITERS[suffix]
-    order = write(path, columns_of(path, splats))
+    order = write(path, columns_of(path, splats), _is_filtered(splats))
     write_label_file(path, SplatLabels.from_columns(extra or {}), taxonomy, order)
 
 
@@ -219,13 +227,17 @@ def read_splats(path: PathLike) -> Splats:
             if name not in OWN_COLUMNS and column.shape[1:] == (1,)
         },
         ellipsoids=shapes_of(path, columns),
-        pixel_filter=path.suffix.lower() == _PLY and is_filtered(path),
+        pixel_filter=_IS_FILTERED.get(path.suffix.lower(), lambda _: False)(path),
         taxonomy=None if beside is None else beside.taxonomy,
     )
 
 
 def _reader(path: Path) -> Callable[[Path], Columns] | None:
     return _READERS_BY_NAME.get(path.name.lower()) or _READERS.get(path.suffix.lower())
+
+
+def _is_filtered(splats: SplatLike) -> bool:
+    return splats.ellipsoids is not None and splats.pixel_filter
 
 
 def _written_suffix(path: Path) -> str:

@@ -35,7 +35,9 @@ SpzVersion = Literal[2, 3, 4]
 _MAGIC, _GZIP = b"NGSP", b"\x1f\x8b"
 _FIRST_UNPACKED, _LATEST = 4, 4
 _HEAD, _UNPACKED_HEAD = struct.Struct("<4sIIBBBB"), struct.Struct("<4sIIBBBBI12x")
-_HAS_EXTENSIONS = 2
+# Flags: fitted with a filter of pixels that preserves opacity, as in Mip-Splatting; extensions.
+_IS_FILTERED, _HAS_EXTENSIONS = 1, 2
+_FLAGS_PLACE = 14
 # Bits behind the point of a position: 1/4096 m, and up to 2 km.
 _FRACTION_BITS = 12
 _COLOUR_SCALE = 0.15
@@ -65,8 +67,24 @@ def read_spz(path: Path) -> Columns:
     return with_reversed_axes(columns)
 
 
-def write_spz(path: Path, columns: Columns, version: SpzVersion = 4) -> None:
+def is_filtered_spz(path: Path) -> bool:
+    """Whether a `.spz` file says that its splats were fitted with a filter of pixels."""
+    with path.open("rb") as file:
+        packed = file.read(len(_GZIP)) == _GZIP
+    with gzip.open(path) if packed else path.open("rb") as file:
+        return bool(file.read(_HEAD.size)[_FLAGS_PLACE] & _IS_FILTERED)
+
+
+def write_spz(
+    path: Path, columns: Columns, is_filtered: bool = False, version: SpzVersion = 4
+) -> None:
     """Write a `.spz` file; rows keep their order.
+
+    Args:
+        path: the file.
+        columns: the splats.
+        is_filtered: whether they were fitted with a filter of pixels, as in Mip-Splatting.
+        version: version of the format.
 
     Raises:
         RunFolderError: a position is more than 2 km from the origin, or the file cannot be written.
@@ -77,13 +95,18 @@ def write_spz(path: Path, columns: Columns, version: SpzVersion = 4) -> None:
             "write a .ply"
         )
     reversed_ = with_reversed_axes(columns)
-    if version == _LATEST:
-        write_with_open3d(path, reversed_)
-    else:
-        write_bytes(path, _packed(reversed_, version))
+    flags = _IS_FILTERED if is_filtered else 0
+    if version != _LATEST:
+        write_bytes(path, _packed(reversed_, version, flags))
+        return
+    write_with_open3d(path, reversed_)
+    if flags:
+        content = bytearray(path.read_bytes())
+        content[_FLAGS_PLACE] |= flags
+        write_bytes(path, bytes(content))
 
 
-def _packed(columns: Columns, version: int) -> bytes:
+def _packed(columns: Columns, version: int, flags: int) -> bytes:
     """The content of a file of version 2 or 3, from columns in its axes."""
     count, harmonics = len(columns["positions"]), harmonics_of(columns)
     fixed = np.rint(columns["positions"].astype(np.float64) * 2.0**_FRACTION_BITS)
@@ -98,7 +121,7 @@ def _packed(columns: Columns, version: int) -> bytes:
         _packed_harmonics(harmonics),
     )
     degree = HARMONICS.index(harmonics.shape[1])
-    head = _HEAD.pack(_MAGIC, version, count, degree, _FRACTION_BITS, 0, 0)
+    head = _HEAD.pack(_MAGIC, version, count, degree, _FRACTION_BITS, flags, 0)
     # No time in the header, so that the same map gives the same file.
     return gzip.compress(head + b"".join(part.tobytes() for part in parts), mtime=0)
 

@@ -358,7 +358,7 @@ def _with_columns(
 
 
 def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
-    """Read the Gaussians of a splat file (.ply, .splat, .spz).
+    """Read the Gaussians of a splat file (.ply, .splat, .spz, .sog, .ksplat).
 
     Raises:
         DatasetError: the file is missing.
