@@ -156,7 +156,7 @@ def changed(path: Path, **values: Any) -> None:
         ({"sh0__files": ["../sh0.webp"]}, "not the name of a file beside it"),
         ({"sh0__files": ["/etc/passwd"]}, "not the name of a file beside it"),
         ({"sh0__files": ["nothing.webp"]}, "nothing.webp"),
-        ({"sh0__files": ["meta.json"]}, "not a whole WebP image"),
+        ({"sh0__files": ["meta.json"]}, "not a whole WebP or PNG image"),
         ({"shN__files": ["sh0.webp", "labels.webp"]}, "is 4 pixels wide"),
     ],
 )

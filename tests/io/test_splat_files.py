@@ -86,6 +86,25 @@ def test_exports_are_reproducible_and_preserve_the_map(tmp_path, cloud, suffix):
     np.testing.assert_allclose(read.log_radii, cloud.log_radii.numpy()[matched], atol=0.05)
 
 
+@pytest.mark.parametrize("suffix", WRITTEN[1:])
+def test_values_that_are_not_numbers_are_not_quantised(tmp_path, cloud, suffix):
+    path = tmp_path / f"map{suffix}"
+    splats.export_splats(path, cloud)
+    before = path.read_bytes()
+    means = cloud.means.clone()
+    means[3, 1] = float("nan")
+    with pytest.raises(RunFolderError, match="Gaussians that are not finite"):
+        splats.export_splats(path, replace(cloud, means=means))
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("length", [0, 31, 33])
+def test_truncated_dot_splat_raises(tmp_path, length):
+    (tmp_path / "map.splat").write_bytes(bytes(length))
+    with pytest.raises(FormatError, match=r"map\.splat is truncated, or not a \.splat file"):
+        splats.read_splats(tmp_path / "map.splat")
+
+
 def test_truncated_ply_raises(tmp_path, cloud):
     splats.write_splat_ply(tmp_path / "map.ply", cloud)
     content = (tmp_path / "map.ply").read_bytes()

@@ -1,8 +1,9 @@
 """Read SOG, the format of PlayCanvas: `meta.json` and lossless WebP images, also zipped (`.sog`).
 
-Source: the source code of github.com/playcanvas/splat-transform. A pixel belongs to a splat, row by
-row. Version 2 stores scales, colours and harmonics as indices into codebooks of 256 values; version
-1 as fractions of a range. Axes are those of a PLY.
+Source: developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog, and for version 1 the
+source code of github.com/playcanvas/splat-transform. A pixel belongs to a splat, row by row.
+Version 2 stores scales, colours and harmonics as indices into codebooks of 256 values; version 1 as
+fractions of a range. Axes are those of a PLY.
 """
 
 from __future__ import annotations
@@ -134,10 +135,10 @@ def _decoded(name: str, content: bytes) -> Image:
     from PIL import Image as Images
 
     try:
-        with Images.open(io.BytesIO(content), formats=["WEBP"]) as image:
+        with Images.open(io.BytesIO(content), formats=["WEBP", "PNG"]) as image:
             return np.asarray(image.convert("RGBA"))
     except (OSError, ValueError, SyntaxError, Images.DecompressionBombError) as error:
-        raise _DamagedError(f"{name} is not a whole WebP image") from error
+        raise _DamagedError(f"{name} is not a whole WebP or PNG image") from error
 
 
 def _between(part: dict[str, Any], fractions: Array) -> Array:

@@ -114,6 +114,19 @@ def logits(opacities: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.log(inside / (1.0 - inside)).astype(np.float32)[:, None]
 
 
+def check_finite(path: Path, columns: Columns) -> None:
+    """Check that values can be quantised: one that is not a number would spoil the range of all.
+
+    Raises:
+        RunFolderError: one is not finite.
+    """
+    finite = columns | {"opacity": opacities_of(columns)}
+    if not all(np.isfinite(column).all() for column in finite.values()):
+        raise RunFolderError(
+            f"cannot write {path}: the map contains Gaussians that are not finite; write a .ply"
+        )
+
+
 def checked(path: Path, columns: Columns) -> Columns:
     """The columns of a file without the splats whose values are not numbers.
 

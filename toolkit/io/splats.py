@@ -29,6 +29,7 @@ from toolkit.io.splat_columns import (
     Columns,
     Order,
     SplatLike,
+    check_finite,
     checked,
     columns_of,
     shapes_of,
@@ -162,7 +163,8 @@ def export_splats(
 
     Raises:
         ValueError: the suffix is not supported.
-        RunFolderError: the file cannot be written, or there is nothing to write.
+        RunFolderError: the file cannot be written, there is nothing to write, or a value that is
+            to be quantised is not a number.
     """
     path, suffix = Path(path), _written_suffix(Path(path))
     if suffix == _PLY:
@@ -172,7 +174,9 @@ def export_splats(
     if suffix not in _WRITERS:
         raise ValueError(f"{path} must end in one of {', '.join(WRITTEN_SUFFIXES)}")
     write = partial(write_spz, version=spz_version) if suffix == _SPZ else _WRITERS[suffix]
-    order = write(path, columns_of(path, splats), _is_filtered(splats))
+    columns = columns_of(path, splats)
+    check_finite(path, columns)
+    order = write(path, columns, _is_filtered(splats))
     write_label_file(path, SplatLabels.from_columns(extra or {}), taxonomy, order)
 
 

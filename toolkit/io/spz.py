@@ -41,6 +41,8 @@ _FLAGS_PLACE = 14
 # Bits behind the point of a position: 1/4096 m, and up to 2 km.
 _FRACTION_BITS = 12
 _COLOUR_SCALE = 0.15
+# Level of gzip; the highest one takes many times as long for files that are hardly smaller.
+_LEVEL = 6
 # Bytes of a splat: position, opacity, colour and scales; a rotation by version.
 _BYTES, _ROTATION_BYTES = 9 + 1 + 3 + 3, {1: 3, 2: 3, 3: 4, 4: 4}
 # Harmonics are rounded to multiples of this, as the authors' writer does, since the low bits cannot
@@ -123,7 +125,8 @@ def _packed(columns: Columns, version: int, flags: int) -> bytes:
     degree = HARMONICS.index(harmonics.shape[1])
     head = _HEAD.pack(_MAGIC, version, count, degree, _FRACTION_BITS, flags, 0)
     # No time in the header, so that the same map gives the same file.
-    return gzip.compress(head + b"".join(part.tobytes() for part in parts), mtime=0)
+    content = head + b"".join(part.tobytes() for part in parts)
+    return gzip.compress(content, _LEVEL, mtime=0)
 
 
 def _first_three(rotations: NDArray[np.floating]) -> NDArray[np.uint8]:
