@@ -29,16 +29,18 @@ def values(count: int = 11, degree: int = 2) -> dict[str, np.ndarray]:
 
 
 def section(splats: dict[str, np.ndarray], level: int) -> tuple[bytes, bytes]:
-    """Header and content of a section with two full buckets and one of the rest."""
+    """Header and content of a section with full buckets and two of the rest."""
     count, width = splats["harmonics"].shape[:2]
     full, rest = divmod(count, BUCKET)
-    centres = np.random.default_rng(1).uniform(-0.1, 0.1, (full + 1, 3)).astype("<f4")
+    lengths = [1, rest - 1]
+    bucket = np.repeat(np.arange(full + 2), [BUCKET] * full + lengths)
+    centres = np.random.default_rng(1).uniform(-0.1, 0.1, (full + 2, 3)).astype("<f4")
     position, number = splats["position"].astype("<f4"), "<f2" if level else "<f4"
     buckets = b""
     if level:
-        offsets = splats["position"] - centres[np.arange(count) // BUCKET]
+        offsets = splats["position"] - centres[bucket]
         position = np.rint(offsets / HALF + RANGE).astype("<u2")
-        buckets = struct.pack("<I", rest) + centres.tobytes()
+        buckets = struct.pack("<II", *lengths) + centres.tobytes()
     # Within a degree, all of red, then green, then blue.
     parts = [splats["harmonics"][:, :3], splats["harmonics"][:, 3:]]
     flat = [part.transpose(0, 2, 1).reshape(count, -1) for part in parts]
@@ -55,10 +57,10 @@ def section(splats: dict[str, np.ndarray], level: int) -> tuple[bytes, bytes]:
         harmonics,
     ]
     rows = b"".join(b"".join(column[k].tobytes() for column in columns) for k in range(count))
-    bucket_numbers = (BUCKET, full + 1, BLOCK_M, 12) if level else (0, 0, 0.0, 0)
+    bucket_numbers = (BUCKET, full + 2, BLOCK_M, 12) if level else (0, 0, 0.0, 0)
     size = len(buckets) + len(rows)
     degree = {0: 0, 3: 1, 8: 2}[width]
-    numbers = (RANGE, size, full, 1) if level else (0, size, 0, 0)
+    numbers = (RANGE, size, full, 2) if level else (0, size, 0, 0)
     header = struct.pack("<IIIIfHxxIIIIH", count, count, *bucket_numbers, *numbers, degree)
     return header.ljust(1024, b"\0"), buckets + rows
 

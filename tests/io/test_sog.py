@@ -6,11 +6,13 @@ import io
 import json
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from toolkit.errors import FormatError
@@ -193,6 +195,15 @@ def test_splats_that_are_not_numbers_are_left_out(tmp_path, pixels, caplog):
     changed(path, scales__codebook=codebook)
     assert len(read_splats(path)) < N
     assert "not finite" in caplog.text
+
+
+def test_transparent_splats_keep_their_colours(tmp_path, cloud):
+    """Encoders of images drop the colours of transparent pixels if they may."""
+    path = tmp_path / "map.sog"
+    export_splats(path, replace(cloud, opacity_logits=torch.full((len(cloud),), -20.0)))
+    read = read_splats(path)
+    nearest = np.linalg.norm(read.means[:, None] - cloud.means.numpy(), axis=2).argmin(axis=1)
+    np.testing.assert_allclose(read.colours, cloud.colours.numpy()[nearest], atol=0.01)
 
 
 def test_many_harmonics_share_a_palette(tmp_path, ellipsoids):
