@@ -12,8 +12,8 @@ from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
 from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.io.splat_columns import SplatScene
 from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.splat_placement import SplatScene
 from toolkit.io.splats import Splats
 from toolkit.rendering import render
 

@@ -31,7 +31,7 @@ from splat_examples import (
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
 from toolkit.geometry import se3
-from toolkit.io.splat_columns import HALF_TURN
+from toolkit.io.splat_placement import HALF_TURN
 from toolkit.io.splats import (
     export_splat_scene,
     export_splats,

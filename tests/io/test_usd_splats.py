@@ -26,7 +26,7 @@ from splat_examples import (
 from toolkit.errors import DependencyError, FormatError, RunFolderError
 from toolkit.gaussians.cloud import LOW_PASS_3DGS
 from toolkit.geometry import se3
-from toolkit.io.splat_columns import HALF_TURN
+from toolkit.io.splat_placement import HALF_TURN
 from toolkit.io.splats import (
     export_splat_scene,
     export_splats,

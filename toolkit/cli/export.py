@@ -50,7 +50,8 @@ def _splats(options: ExportOptions, selection: SelectedGaussians) -> str:
     else:
         columns = None if selection.labels is None else selection.labels.columns()
         comments = [*_left_origin(options, selection), *notes]
-        export_splats(options.to, selection.gaussians, columns, comments, options.spz_version)
+        version, tree = options.spz_version, selection.class_tree
+        export_splats(options.to, selection.gaussians, columns, comments, version, tree)
     return f"{len(selection.gaussians)} Gaussians"
 
 

@@ -84,7 +84,7 @@ class RenderProgram:
     a video along a smooth path through them."""
 
     map: Positional[Path]
-    """Run folder, or a splat file (.ply, .splat, .spz, glTF, USD)."""
+    """Run folder, or a splat file (.ply, .splat, .spz, .sog, .ksplat, glTF, USD)."""
     out: Path | None = None
     """Folder for the images. By default, RUN/renders/views, or FILE_views beside a splat file."""
     trajectory: Path | None = None

@@ -14,7 +14,7 @@ from toolkit.geometry import se3
 from toolkit.io.gltf import MeshPart, write_gltf
 from toolkit.io.labelled_points import LabelledPoints, write_labelled_points
 from toolkit.io.meshes import TriangleMesh
-from toolkit.io.splat_columns import SplatScene
+from toolkit.io.splat_placement import SplatScene
 from toolkit.io.splats import export_splat_scene
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh
 from toolkit.semantics.boxes import Ground

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from toolkit.errors import DependencyError, FormatError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.meshes import TriangleMesh
-from toolkit.io.splat_columns import linear_from_srgb
+from toolkit.io.splat_placement import linear_from_srgb
 
 GLTF_SUFFIXES = (".glb", ".gltf")
 

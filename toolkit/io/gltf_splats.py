@@ -24,17 +24,14 @@ from toolkit.io.gltf_document import (
     read_document,
     write_document,
 )
-from toolkit.io.splat_columns import (
+from toolkit.io.splat_columns import OWN_COLUMNS, Columns, logits, opacities_of
+from toolkit.io.splat_placement import (
     HALF_TURN,
-    OWN_COLUMNS,
-    Columns,
     SplatScene,
     concatenated,
     constant_colours,
     in_srgb,
     linear_from_srgb,
-    logits,
-    opacities,
     placed,
 )
 
@@ -100,7 +97,7 @@ def _text_keys(names: Mapping[int, str]) -> dict[str, str]:
 def _attributes(columns: Columns) -> dict[str, NDArray]:
     """The vertex attributes of the specification, by name."""
     rotations = columns["rot"] / np.linalg.norm(columns["rot"], axis=1, keepdims=True)
-    alpha = opacities(columns["opacity"])
+    alpha = opacities_of(columns)[:, None]
     # The fallback of programs that show points only; linear, as glTF demands.
     shown = np.hstack([linear_from_srgb(constant_colours(columns)), alpha])
     attributes = {
@@ -257,7 +254,7 @@ def _primitive(document: GltfDocument, primitive: dict[str, Any]) -> Columns:
         "rot": np.roll(values(_PREFIX + "ROTATION", 4).astype(np.float64), 1, axis=1),
         # Negative scales are not valid.
         "scale": np.where(scale < 0, np.nan, scale),
-        "opacity": logits(values(_PREFIX + "OPACITY", 1)),
+        "opacity": logits(values(_PREFIX + "OPACITY", 1)[:, 0]),
         "f_dc": values(_PREFIX + "SH_DEGREE_0_COEF_0", 3).astype(np.float32),
     }
     names = _harmonic_names(15)

@@ -1,185 +1,182 @@
-"""Splats as columns, as files contain them: activation, colour spaces, and placement in a scene.
+"""The values of splats in columns, the form that all splat files are read into and written from.
 
-Columns are those that Open3D reads from a splat PLY: `positions` [N, 3], `f_dc` [N, 3], `opacity`
-[N, 1] (logit), `scale` [N, 3], `rot` [N, 4] (wxyz), optionally `f_rest` [N, K, 3], and additional
-ones [N, 1].
+Columns have the names of Open3D: `positions` [N, 3] in metres (x right, y down, z forward), `scale`
+[N, 3] standard deviations in metres, `rot` [N, 4] quaternions wxyz, `opacity` [N, 1] as a logit,
+`f_dc` [N, 3] constant spherical harmonics (colour = 0.5 + 0.28209479 f_dc) and, for colours that
+depend on the view, `f_rest` [N, K, 3] with K of 3, 8 or 15. Additional columns are [N, 1].
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
-from toolkit.geometry import se3
-from toolkit.geometry.harmonics import harmonic_rotation
+from toolkit.errors import FormatError, RunFolderError
 from toolkit.io.splat_shapes import SplatShapes
 
 _log = logging.getLogger(__name__)
 
 Columns = dict[str, NDArray]
+# Rows of a file, as indices of what was to be written; None if it keeps their order.
+Order = NDArray[np.int64] | None
 
-# From the axes of a map (y down, z forward) to those of glTF and USD (y up, z backward), or back.
-HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 # The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
-_CONSTANT_HARMONIC = 0.28209479177387814
-# Opacities closer to 0 or 1 are not distinguishable in single precision.
-_LEAST_OPACITY = 2.0**-24
-# Maximum relative difference of the axes of a transformation that scales uniformly.
-_SIMILARITY = 1e-4
-# Entries of transformations closer to an integer are that integer, so that axes are exact.
-_ROUNDING = 1e-9
-# Number of harmonics without the constant, by degree.
-HARMONIC_COUNTS = (0, 3, 8, 15)
-OWN_COLUMNS = ("positions", "f_dc", "f_rest", "opacity", "scale", "rot")
+CONSTANT_HARMONIC = 0.28209479
+# Numbers of harmonics of the degrees 0 to 3, without the constant.
+HARMONICS = (0, 3, 8, 15)
+OWN_COLUMNS = ("positions", "f_dc", "f_rest", "opacity", "scale", "rot", "normals")
+# Opacities of 0 and 1 have no finite logit.
+_SMALLEST_OPACITY = 2.0**-24
+# Shorter axes of splats are read as this, in metres.
+_SMALLEST_M = 1e-9
+# Splats with a larger ratio of the longest to the shortest axis are not isotropic.
+_ISOTROPY = 1.01
 
 
-@dataclass(frozen=True)
-class SplatScene:
-    """What a scene file contains besides splats.
-
-    Attributes:
-        T_scene_map: [4, 4] rotation and translation from the map to the axes of the scene: x right,
-            y up, z backward.
-        metric: whether lengths are metres.
-        comments: one line each, such as `origin_m`.
-        classes: names of the labels by class id.
-    """
-
-    T_scene_map: NDArray[np.float64] = field(default_factory=HALF_TURN.copy)
-    metric: bool = True
-    comments: tuple[str, ...] = ()
-    classes: Mapping[int, str] = field(default_factory=dict)
+class SplatLike(Protocol):
+    """Gaussians that can be written: `GaussianCloud` (tensors) or `Splats` (arrays)."""
 
     @property
-    def T_scene_file(self) -> NDArray[np.float64]:
-        """Transformation [4, 4] of the node: splats are stored after a half turn about x.
+    def means(self) -> Any: ...
 
-        So they are nearly upright for programs that ignore transformations. Without a known floor,
-        there is no transformation, and harmonics are exact in programs that do not rotate them.
-        """
-        return self.T_scene_map @ HALF_TURN
+    @property
+    def log_radii(self) -> Any: ...
 
+    @property
+    def opacity_logits(self) -> Any: ...
 
-def opacities(logits: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return opacities in [0, 1] of logits."""
-    with np.errstate(over="ignore"):
-        return (1.0 / (1.0 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
+    @property
+    def colours(self) -> Any: ...
 
+    @property
+    def ellipsoids(self) -> Any: ...
 
-def logits(values: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return finite logits of opacities; NaN remains."""
-    clipped = np.clip(values.astype(np.float64), _LEAST_OPACITY, 1.0 - _LEAST_OPACITY)
-    return np.log(clipped / (1.0 - clipped)).astype(np.float32)
+    @property
+    def pixel_filter(self) -> bool: ...
 
 
-def linear_from_srgb(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return linear values of sRGB values, clipped to [0, 1]."""
-    values = np.clip(values.astype(np.float64), 0.0, 1.0)
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-
-
-def constant_colours(columns: Columns) -> NDArray[np.float64]:
-    """Return the part [N, 3] of the colours that does not depend on the view."""
-    return 0.5 + _CONSTANT_HARMONIC * columns["f_dc"].astype(np.float64)
-
-
-def in_srgb(path: Path, columns: Columns, colour_space: str) -> Columns:
-    """Convert colours to sRGB, in which splats are blended here.
-
-    Splats of linear colours are converted one by one: their constant colour exactly, harmonics to
-    first order. Overlapping transparent splats look slightly different.
-    """
-    if colour_space.startswith("srgb_rec709"):
-        return columns
-    if not colour_space.startswith("lin_rec709"):
-        _log.warning("%s: colour space %r is unknown; it is read as sRGB.", path, colour_space)
-        return columns
-    _log.warning("%s: linear colours are converted to sRGB splat by splat.", path)
-    linear = np.clip(constant_colours(columns), 0.0, 1.0)
-    bright = linear > 0.0031308
-    power = np.maximum(linear, 0.0031308)
-    colours = np.where(bright, 1.055 * power ** (1 / 2.4) - 0.055, 12.92 * linear)
-    slopes = np.where(bright, 1.055 / 2.4 * power ** (1 / 2.4 - 1.0), 12.92)
-    converted = dict(columns)
-    converted["f_dc"] = ((colours - 0.5) / _CONSTANT_HARMONIC).astype(np.float32)
-    if "f_rest" in columns:
-        converted["f_rest"] = (columns["f_rest"] * slopes[:, None]).astype(np.float32)
-    return converted
-
-
-def placed(path: Path, columns: Columns, T: NDArray[np.float64]) -> Columns:
-    """Return the columns after a transformation [4, 4]: a similarity, also of the view dependence.
+def columns_of(path: Path, splats: SplatLike) -> Columns:
+    """The columns of splats that are written to a file, in float32 with rotations of length 1.
 
     Raises:
-        FormatError: it is no rotation, translation and uniform positive scale.
+        RunFolderError: there are none.
     """
-    scale, R = _similarity(path, T)
-    shift = _rounded(T[:3, 3])
-    shapes = SplatShapes(
-        columns["scale"],
-        columns["rot"],
-        columns.get("f_rest", np.zeros((len(columns["rot"]), 0, 3))),
-    )
-    moved = dict(columns)
-    positions = columns["positions"].astype(np.float64) @ (scale * R).T + shift
-    moved["positions"] = positions.astype(np.float32)
-    moved["scale"] = (columns["scale"] * scale).astype(np.float32)
-    if np.array_equal(R, HALF_TURN[:3, :3]):
-        shapes = shapes.with_reversed_axes()
-    elif not np.array_equal(R, np.eye(3)):
-        shapes = _turned(shapes, R)
-    moved["rot"] = shapes.rotations.astype(np.float32)
-    if "f_rest" in columns:
-        moved["f_rest"] = shapes.harmonics.astype(np.float32)
-    return moved
+    means = _array(splats.means)
+    if len(means) == 0:
+        raise RunFolderError(f"cannot write {path}: the map contains no Gaussians")
+    shapes = splats.ellipsoids
+    if shapes is None:
+        scales_m = np.repeat(np.exp(_array(splats.log_radii))[:, None], 3, axis=1)
+        rotations = np.tile(np.array([1, 0, 0, 0], np.float32), (len(means), 1))
+    else:
+        scales_m, rotations = np.exp(_array(shapes.log_scales)), _array(shapes.rotations)
+        rotations = rotations / np.linalg.norm(rotations, axis=1, keepdims=True)
+    columns = {
+        "positions": means,
+        "f_dc": (_array(splats.colours) - np.float32(0.5)) / np.float32(CONSTANT_HARMONIC),
+        "opacity": _array(splats.opacity_logits)[:, None],
+        "scale": scales_m,
+        "rot": rotations,
+    }
+    if shapes is not None and shapes.harmonics.shape[1]:
+        columns["f_rest"] = _array(shapes.harmonics)
+    return {name: np.ascontiguousarray(c, np.float32) for name, c in columns.items()}
 
 
-def _similarity(path: Path, T: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-    """The scale and the rotation [3, 3] of a transformation."""
-    if np.isfinite(T).all():
-        scale = _rounded(np.linalg.norm(T[:3, :3], axis=0).mean())
-        R = _rounded(T[:3, :3] / max(float(scale), np.finfo(float).tiny))
-        if np.abs(R.T @ R - np.eye(3)).max() < _SIMILARITY and np.linalg.det(R) > 0:
-            return float(scale), R
-    raise FormatError(
-        f"{path}: splats are placed by a transformation that is mirrored, skewed or scaled "
-        "differently along its axes; apply it to the splats, and write the file again"
-    )
+def harmonics_of(columns: Columns) -> NDArray[np.float32]:
+    """The harmonics [N, K, 3]; K is 0 if the colours do not depend on the view."""
+    return columns.get("f_rest", np.zeros((len(columns["positions"]), 0, 3), np.float32))
 
 
-def _rounded(values: Any) -> NDArray[np.float64]:
-    whole = np.rint(values)
-    return np.where(np.abs(values - whole) < _ROUNDING, whole, values)
+def with_reversed_axes(columns: Columns) -> Columns:
+    """The columns after a half turn about the x axis: y up and z backward, or back again."""
+    shapes = SplatShapes(columns["scale"], columns["rot"], harmonics_of(columns))
+    turned = shapes.with_reversed_axes()
+    positions = columns["positions"] * np.array([1, -1, -1], np.float32)
+    reversed_ = columns | {"positions": positions, "rot": turned.rotations}
+    return reversed_ | {"f_rest": turned.harmonics} if "f_rest" in columns else reversed_
 
 
-def _turned(shapes: SplatShapes, R: NDArray[np.float64]) -> SplatShapes:
-    x, y, z, w = se3.quaternion_xyzw(R)
-    product = np.array(((w, -x, -y, -z), (x, w, -z, y), (y, z, w, -x), (z, -y, x, w)))
-    matrix = harmonic_rotation(R, shapes.harmonics.shape[1])
-    return SplatShapes(
-        shapes.log_scales,
-        shapes.rotations @ product.T,
-        np.einsum("jk,nkc->njc", matrix, shapes.harmonics),
-    )
+def opacities_of(columns: Columns) -> NDArray[np.float64]:
+    """The opacities [N] in [0, 1]."""
+    with np.errstate(over="ignore"):
+        return np.asarray(1.0 / (1.0 + np.exp(-columns["opacity"][:, 0].astype(np.float64))))
 
 
-def concatenated(parts: Sequence[Columns]) -> Columns:
-    """Concatenate splats, with the highest degree of harmonics and the columns of all parts."""
-    if len(parts) == 1:
-        return dict(parts[0])
-    K = max(part["f_rest"].shape[1] if "f_rest" in part else 0 for part in parts)
-    filled = []
-    for part in parts:
-        harmonics = np.zeros((len(part["positions"]), K, 3), np.float32)
-        if "f_rest" in part:
-            harmonics[:, : part["f_rest"].shape[1]] = part["f_rest"]
-        filled.append({**part, "f_rest": harmonics})
-    names = [name for name in filled[0] if all(name in part for part in filled)]
-    return {name: np.concatenate([part[name] for part in filled]) for name in names}
+def logits(opacities: NDArray[np.floating]) -> NDArray[np.float32]:
+    """The column `opacity` [N, 1] of opacities [N] in [0, 1]."""
+    inside = np.clip(opacities, _SMALLEST_OPACITY, 1.0 - _SMALLEST_OPACITY)
+    return np.log(inside / (1.0 - inside)).astype(np.float32)[:, None]
+
+
+def check_finite(path: Path, columns: Columns) -> None:
+    """Check that values can be quantised: one that is not a number would spoil the range of all.
+
+    Raises:
+        RunFolderError: one is not finite.
+    """
+    finite = columns | {"opacity": opacities_of(columns)}
+    if not all(np.isfinite(column).all() for column in finite.values()):
+        raise RunFolderError(
+            f"cannot write {path}: the map contains Gaussians that are not finite; write a .ply"
+        )
+
+
+def checked(path: Path, columns: Columns) -> Columns:
+    """The columns of a file without the splats whose values are not numbers.
+
+    Raises:
+        FormatError: a column is missing, or nothing is left.
+    """
+    for name in ("positions", "f_dc", "opacity", "scale"):
+        if name not in columns or len(columns[name]) == 0:
+            raise FormatError(
+                f"{path} is not a splat file, or is truncated: it has no {name}; write it again"
+            )
+    # An axis of length 0 is that of a disc; an infinite logit is an opacity of 0 or 1.
+    columns = columns | {"scale": np.maximum(columns["scale"], _SMALLEST_M)}
+    good = ~np.isnan(columns["opacity"][:, 0])
+    for name in ("positions", "f_dc", "scale", "rot", "f_rest"):
+        if name in columns:
+            good &= np.isfinite(columns[name].reshape(len(good), -1)).all(axis=1)
+    if good.all():
+        return columns
+    if not good.any():
+        raise FormatError(f"{path} contains no splat with finite values; write it again")
+    count = int((~good).sum())
+    _log.warning("%s: %d of %d splats are not finite and left out.", path, count, len(good))
+    return {name: column[good] for name, column in columns.items()}
+
+
+def shapes_of(path: Path, columns: Mapping[str, NDArray]) -> SplatShapes | None:
+    """The shapes of splats that are anisotropic or depend on the view; None if none does.
+
+    Raises:
+        FormatError: the number of harmonics is not that of a degree.
+    """
+    if "rot" not in columns:
+        return None
+    count, log_scales = len(columns["scale"]), np.log(columns["scale"])
+    harmonics = columns.get("f_rest", np.zeros((count, 0, 3)))
+    if harmonics.shape[1] not in HARMONICS:
+        raise FormatError(
+            f"{path} has {harmonics.shape[1]} harmonics per colour, instead of "
+            f"{', '.join(map(str, HARMONICS[:-1]))} or {HARMONICS[-1]}; write it again"
+        )
+    if not harmonics.any() and (np.ptp(log_scales, axis=1) <= np.log(_ISOTROPY)).all():
+        return None
+    rotations = columns["rot"].astype(np.float32)
+    rotations[~(np.linalg.norm(rotations, axis=1) > 0)] = (1, 0, 0, 0)
+    return SplatShapes(log_scales.astype(np.float32), rotations, harmonics.astype(np.float32))
+
+
+def _array(values: Any) -> NDArray[np.float32]:
+    """Convert an array, or a tensor on any device, to a float32 array."""
+    if hasattr(values, "detach"):
+        values = values.detach().cpu().numpy()
+    return np.asarray(values, dtype=np.float32)

@@ -21,18 +21,14 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError, FormatError, RunFolderError
 from toolkit.io.atomic import replacing
-from toolkit.io.splat_columns import (
+from toolkit.io.splat_columns import HARMONICS, OWN_COLUMNS, Columns, logits, opacities_of
+from toolkit.io.splat_placement import (
     HALF_TURN,
-    HARMONIC_COUNTS,
-    OWN_COLUMNS,
-    Columns,
     SplatScene,
     concatenated,
     constant_colours,
     in_srgb,
     linear_from_srgb,
-    logits,
-    opacities,
     placed,
 )
 
@@ -108,8 +104,8 @@ def _fill(pxr: Any, field: Any, columns: Columns) -> None:
     field.CreatePositionsAttr(vectors(columns["positions"]))
     field.CreateOrientationsAttr(pxr.Vt.QuatfArray.FromNumpy(quaternions))
     field.CreateScalesAttr(vectors(columns["scale"]))
-    field.CreateOpacitiesAttr(pxr.Vt.FloatArray.FromNumpy(opacities(columns["opacity"])[:, 0]))
-    field.CreateRadianceSphericalHarmonicsDegreeAttr(HARMONIC_COUNTS.index(harmonics.shape[1] - 1))
+    field.CreateOpacitiesAttr(pxr.Vt.FloatArray.FromNumpy(opacities_of(columns).astype(np.float32)))
+    field.CreateRadianceSphericalHarmonicsDegreeAttr(HARMONICS.index(harmonics.shape[1] - 1))
     radiance = field.CreateRadianceSphericalHarmonicsCoefficientsAttr()
     radiance.Set(vectors(harmonics.reshape(-1, 3)))
     # The schema derives it from the degree; some renderers do not.
@@ -232,11 +228,11 @@ def _prim_columns(pxr: Any, path: Path, prim: Any) -> Columns:
     if positions is None:
         raise FormatError(f"{path}: {prim.GetPath()} contains no splats; write the file again")
     degree = prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get(time)
-    if degree not in range(len(HARMONIC_COUNTS)):
+    if degree not in range(len(HARMONICS)):
         raise FormatError(
             f"{path}: harmonics have degree {degree}, instead of 0 to 3; write the file again"
         )
-    K = HARMONIC_COUNTS[degree] + 1
+    K = HARMONICS[degree] + 1
     harmonics = values("radiance:sphericalHarmonicsCoefficients", (count, K, 3))
     if harmonics is None:
         _log.warning("%s: %s has no colours; it is grey.", path, prim.GetPath())
@@ -247,7 +243,7 @@ def _prim_columns(pxr: Any, path: Path, prim: Any) -> Columns:
         "positions": positions,
         "scale": np.ones((count, 3), np.float32) if scale is None else scale,
         "rot": np.tile([1.0, 0, 0, 0], (count, 1)) if rotations is None else rotations,
-        "opacity": logits(np.ones((count, 1)) if alpha is None else alpha),
+        "opacity": logits(np.ones(count) if alpha is None else alpha[:, 0]),
         "f_dc": harmonics[:, 0],
         "f_rest": harmonics[:, 1:],
     }

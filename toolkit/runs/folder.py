@@ -358,7 +358,7 @@ def _with_columns(
 
 
 def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
-    """Read the Gaussians of a splat file: .ply, .splat, .spz, glTF or USD.
+    """Read the Gaussians of a splat file, in any of the formats of `read_splats`.
 
     Raises:
         DatasetError: the file is missing.

@@ -13,7 +13,7 @@ from toolkit.evaluation.frame_states import summary_lines
 from toolkit.evaluation.run_loops import accepted_edges
 from toolkit.exports.selection import SelectedGaussians, ground_of, select
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.label_files import label_file_of
 from toolkit.io.splat_shapes import relative_covariances
 from toolkit.io.splats import Splats, is_splat_file, read_splats
 from toolkit.loops.log import read_loop_log
@@ -91,10 +91,10 @@ def _shapes(gaussians: GaussianCloud) -> NDArray[np.float32] | None:
 
 
 def file_scene(path: Path, content: ShownContent) -> ViewerScene:
-    """Describe a splat file, with classes if a taxonomy lies beside it."""
+    """Describe a splat file, with classes if its labels have a taxonomy or one lies beside it."""
     splats = read_splats(path)
     shown = _file_splats(splats)
-    tree = _tree_beside(path, splats.labels)
+    tree = _tree_of(path, splats)
     if tree is None:
         shown = ShownSplats(
             **{k: v for k, v in shown.columns().items() if k not in ("levels", "confidence")}
@@ -118,12 +118,15 @@ def _file_splats(splats: Splats) -> ShownSplats:
     )
 
 
-def _tree_beside(path: Path, labels: SplatLabels | None) -> ShownTree | None:
-    """Return the class tree of the run folder that a splat file lies in, or None."""
-    file = path.resolve().parent / "taxonomy.yaml"
-    if labels is None or not file.is_file():
+def _tree_of(path: Path, splats: Splats) -> ShownTree | None:
+    """Return the class tree of the labels, or of the run folder that the file lies in, or None."""
+    file, labels = path.resolve().parent / "taxonomy.yaml", splats.labels
+    if labels is None or (splats.taxonomy is None and not file.is_file()):
         return None
-    taxonomy = Taxonomy.load(file)
+    if splats.taxonomy is not None:
+        taxonomy = Taxonomy.from_json(splats.taxonomy, str(label_file_of(path)))
+    else:
+        taxonomy = Taxonomy.load(file)
     try:
         check_labels(labels, taxonomy)
     except FormatError as error:
