@@ -1,4 +1,4 @@
-"""Start a run in the map of a finished run or in a splat file, which is extended (setting `map`)."""
+"""Start a run in the map of a finished run or of a splat file, and extend it (setting `map`)."""
 
 from __future__ import annotations
 

@@ -91,21 +91,25 @@ def metric_map(
     poses = [np.eye(4), *viewpoints(roomy, small, _SEARCHED)]
     views = list(_rendered(roomy, small, poses, parts))
     _log.info("Looking for frames in %d views of %s.", len(views), roomy)
-    localiser = SplatMapLocaliser(roomy, views, parts.tracker, parts.options)
+
+    def render(T_map_camera: Array) -> Keyframe | None:
+        return virtual_keyframe(parts.backend, roomy, small, T_map_camera, len(views))
+
+    localiser = SplatMapLocaliser(roomy, views, render, parts.tracker, parts.options)
     located = localiser.located(frames)
     if not located:
         return None
     logs = np.log([frame.units_per_metre for frame in located])
-    # The number of matches is the weight of a frame.
-    weights = np.array([frame.matches for frame in located], np.float64)
-    metres_per_unit = float(np.exp(-np.average(logs, weights=weights)) * _EXTENT_M / size)
-    metric = cloud.scaled(metres_per_unit)
-    seen = [frame.T_map_camera for frame in located]
+    # Few matches are often near each other, so that their number determines the scale badly.
+    weights = np.array([frame.matches for frame in located], np.float64) ** 2
+    metres_per_roomy = float(np.exp(-np.average(logs, weights=weights)))
+    metric = roomy.scaled(metres_per_roomy)
+    seen = [_scaled(frame.T_map_camera, metres_per_roomy) for frame in located]
     poses = [*seen, *viewpoints(metric, small, _KEPT, _vertical(seen))]
     keyframes = list(_rendered(metric, small, poses, parts))
     return MetricMap(
         _submap(metric, keyframes, parts.describer),
-        metres_per_unit,
+        metres_per_roomy * _EXTENT_M / size,
         float(np.std(logs)),
         tuple(located),
     )
@@ -119,6 +123,13 @@ def _rendered(
         view = virtual_keyframe(parts.backend, cloud, camera, T_map_camera, index)
         if view is not None:
             yield view
+
+
+def _scaled(T_map_camera: Array, factor: float) -> Array:
+    """A pose in a map whose lengths are multiplied by a factor."""
+    T = T_map_camera.copy()
+    T[:3, 3] *= factor
+    return T
 
 
 def _vertical(T_map_cameras: list[Array]) -> Array | None:

@@ -68,8 +68,7 @@ def viewpoints(cloud: GaussianCloud, camera: Camera, count: int, up: Array | Non
     half_angle = np.arctan(0.5 * min(camera.width / camera.fx, camera.height / camera.fy))
     cones = axes @ rays.T >= np.cos(half_angle)
     poses = [
-        _looking(positions[place], axes[axis], up)
-        for place, axis in views.chosen(cones, count)
+        _looking(positions[place], axes[axis], up) for place, axis in views.chosen(cones, count)
     ]
     return np.array(poses).reshape(-1, 4, 4)
 

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
 from toolkit.rendering import RenderOptions, render_surface
 from toolkit.rendering.backend import Backend
