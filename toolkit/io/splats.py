@@ -44,6 +44,8 @@ _SMALLEST_M = 1e-9
 _FILTER_COMMENT, _MAX_HEADER = b"pixel_filter 0.1 compensated", 8192
 # Numbers of harmonics of the degrees 0 to 3, without the constant.
 _HARMONICS = (0, 3, 8, 15)
+# Largest logit of an opacity that is written.
+_MAX_LOGIT = 40.0
 # Splats with a larger ratio of the longest to the shortest axis are not isotropic.
 _ISOTROPY = 1.01
 _OWN_ATTRIBUTES = ("positions", "f_dc", "f_rest", "opacity", "scale", "rot", "normals")
@@ -389,7 +391,8 @@ def _open3d_cloud(path: PathLike, splats: SplatLike, clamped: bool = False) -> A
     attributes = {
         "positions": means,
         "f_dc": (colours - np.float32(0.5)) / np.float32(CONSTANT_HARMONIC),
-        "opacity": _array(splats.opacity_logits)[:, None],
+        # PLY files of RPly contain no infinite values; the sigmoid is the same.
+        "opacity": np.clip(_array(splats.opacity_logits), -_MAX_LOGIT, _MAX_LOGIT)[:, None],
         "scale": scales_m,
         "rot": rotations,
         **harmonics,

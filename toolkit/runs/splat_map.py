@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from toolkit.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
 
+# Largest absolute logit of an opacity: that of 0.999.
+_MAX_LOGIT = 7.0
 # Maximum number of frames, evenly spaced in the recording, that are looked for in the map.
 _TRIED = 24
 
@@ -43,6 +46,9 @@ def open_splat_map(file: Path, settings: RunSettings, dataset: Dataset | None) -
             "first, use semsplat run, and give the folder of that run to --map"
         )
     cloud = read_cloud(file)
+    # The opacities of files of 8 bits are 0 and 1, which optimisation could not change.
+    limited = cloud.opacity_logits.clamp(-_MAX_LOGIT, _MAX_LOGIT)
+    cloud = replace(cloud, opacity_logits=limited)
     on_gpu = map_device(settings.device, settings.backend) == "cuda"
     if cloud.ellipsoids is not None and on_gpu and settings.backend in ("auto", "cuda"):
         raise SettingsError(
