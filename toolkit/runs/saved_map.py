@@ -120,6 +120,13 @@ def load_saved_map(slam: Slam, saved: SavedMap) -> None:
     submaps = saved.submaps
     last = max(keyframe.index for submap in submaps.values() for keyframe in submap.keyframes)
     _log.info("Relocalising in %d submap(s) of %s.", len(submaps), saved.place)
+    if saved.source is not None:
+        _log.info(
+            "One unit of the file is %.4g m (%.1f %% between %d located frames).",
+            saved.source["metres_per_unit"],
+            100.0 * saved.source["relative_spread"],
+            len(saved.source["located_frames"]),
+        )
 
     def renumbered() -> Iterator[Submap]:
         for number, submap in enumerate(submaps.values()):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +20,6 @@ from toolkit.runs.settings import RunSettings
 from toolkit.tracking.depth_filter import DepthFilter
 from toolkit.tracking.factory import build_tracker
 from toolkit.tracking.tracker import LocatingTracker
-
-_log = logging.getLogger(__name__)
 
 # Largest absolute logit of an opacity: that of 0.999.
 _MAX_LOGIT = 7.0
@@ -64,19 +61,11 @@ def open_splat_map(file: Path, settings: RunSettings, dataset: Dataset | None) -
             f"the recording {dataset.name} does not match the map {file}: no frames could be "
             "located in it without doubt; check that both show the same place, or run without --map"
         )
-    _log.info(
-        "Located %d frames of the recording in %s: one unit of the file is %.4g m (%.1f %% "
-        "between frames).",
-        len(found.frames),
-        file,
-        found.metres_per_unit,
-        100.0 * found.spread,
-    )
     return found
 
 
 def summary(file: Path, found: MetricMap) -> dict[str, Any]:
-    """How a splat file was scaled, for `saved_map.json`."""
+    """How a splat file was scaled, for `saved_map.json`: see `MetricMap`."""
     return {
         "file": str(file),
         "metres_per_unit": found.metres_per_unit,

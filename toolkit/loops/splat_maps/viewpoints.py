@@ -28,12 +28,14 @@ _OUTSIDE = 0.02
 # Gaussians of lower opacity are no surface; cells with a smaller sum of opacities are free.
 _MIN_OPACITY, _MIN_SURFACE = 0.3, 0.6
 # Minimum distance of a camera from surfaces, and step along a ray, in cells.
-_CLEARANCE, _STEP = 2.0, 0.7
+_CLEARANCE, _STEP = 4.0, 0.7
 # Maximum number of positions, number of rays from each, and number of directions of views.
 _POSITIONS, _RAYS, _DIRECTIONS = 300, 800, 32
-# Minimum fraction of the rays of a view that meet a surface, and minimum distance of the median one
-# in cells. Nearer views show little of the map.
-_MIN_SEEN, _MIN_DISTANCE = 0.6, 8
+# Minimum fraction of the rays of a view that meet a surface, and maximum fraction of those that do
+# within a number of cells: near views show little of the map, and walls beside a camera are blurred.
+_MIN_SEEN, _MAX_NEAR, _NEAR = 0.6, 0.4, 8
+# Larger Gaussians fill the whole map, and their points would exceed the range of cells.
+_MAX_LOG_SCALE = 10.0
 # Every further view of a surface at the same distance counts this times the one before.
 _AGAIN = 0.5
 # Surfaces are counted in blocks of so many cells.
@@ -65,7 +67,7 @@ def viewpoints(cloud: GaussianCloud, camera: Camera, count: int, up: Array | Non
     rays = _sphere(_RAYS)
     views = _Views.cast(grid, positions, rays)
     axes = _sphere(_DIRECTIONS)
-    half_angle = np.arctan(0.5 * min(camera.width / camera.fx, camera.height / camera.fy))
+    half_angle = np.arctan(0.5 * np.hypot(camera.width / camera.fx, camera.height / camera.fy))
     cones = axes @ rays.T >= np.cos(half_angle)
     poses = [
         _looking(positions[place], axes[axis], up) for place, axis in views.chosen(cones, count)
@@ -123,7 +125,8 @@ def _surface_points(cloud: GaussianCloud) -> tuple[Array, Array]:
     """
     means, opacities = cloud.means.double(), cloud.opacities.double()
     shapes = cloud.as_ellipsoids()
-    axes = rotation_matrices(shapes.rotations.double()) * shapes.log_scales.double().exp()[:, None]
+    scales = shapes.log_scales.double().clamp(max=_MAX_LOG_SCALE).exp()
+    axes = rotation_matrices(shapes.rotations.double()) * scales[:, None]
     points = [means, *(means + sign * axes[:, :, k] for k in range(3) for sign in (-1.0, 1.0))]
     shares = opacities.repeat(len(points)) / len(points)
     # A disc has two thin axes, whose points are at its centre.
@@ -163,7 +166,7 @@ class _Views:
                 block = np.ravel_multi_index(tuple(cells[met].T // _BLOCK), blocks)
                 octave = int(np.log2(_STEP * step + 1.0))
                 row[going[met]] = block + octave * int(np.prod(blocks))
-                distant[going[met]] = _STEP * step >= _MIN_DISTANCE
+                distant[going[met]] = _STEP * step >= _NEAR
                 going = going[~met]
                 if len(going) == 0:
                     break
@@ -179,7 +182,7 @@ class _Views:
         for cone in cones:
             inside = self.seen[:, cone]
             share = (inside >= 0).mean(axis=1)
-            usable = (share >= _MIN_SEEN) & (self.far[:, cone].mean(axis=1) >= 0.5)
+            usable = (share >= _MIN_SEEN) & (self.far[:, cone].mean(axis=1) >= 1.0 - _MAX_NEAR)
             rows.append(inside)
             shares.append(np.where(usable, share, 0.0) * self.enclosed)
         worth = np.ones(int(self.seen.max(initial=0)) + 2)
