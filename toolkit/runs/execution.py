@@ -127,9 +127,7 @@ def _execute(
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
         if saved is not None:
-            load_saved_map(slam, saved)
-            if saved.source is not None:
-                folder.write_json(folder.saved_map, saved.source)
+            load_saved_map(slam, saved, folder)
             # The checkpoint contains the saved map, so that resuming does not need the saved run.
             checkpoints.save(system, 0)
         indices = range(start or 0, len(dataset))

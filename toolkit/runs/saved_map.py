@@ -16,6 +16,7 @@ from toolkit.io.splats import is_splat_file
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.building import build_run_labeller
 from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.folder import RunFolder
 from toolkit.runs.modes import mode_of
 from toolkit.runs.settings import RunSettings
 from toolkit.runs.splat_map import open_splat_map, summary
@@ -109,8 +110,8 @@ def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset
         )
 
 
-def load_saved_map(slam: Slam, saved: SavedMap) -> None:
-    """Load a map and the observed classes into a SLAM system.
+def load_saved_map(slam: Slam, saved: SavedMap, folder: RunFolder) -> None:
+    """Load a map and the observed classes into a SLAM system, and store where it is from.
 
     Raises:
         ToolkitError: a submap cannot be read.
@@ -121,6 +122,7 @@ def load_saved_map(slam: Slam, saved: SavedMap) -> None:
     last = max(keyframe.index for submap in submaps.values() for keyframe in submap.keyframes)
     _log.info("Relocalising in %d submap(s) of %s.", len(submaps), saved.place)
     if saved.source is not None:
+        folder.write_json(folder.saved_map, saved.source)
         _log.info(
             "One unit of the file is %.4g m (%.1f %% between %d located frames).",
             saved.source["metres_per_unit"],

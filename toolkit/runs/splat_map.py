@@ -25,6 +25,8 @@ from toolkit.tracking.tracker import LocatingTracker
 _MAX_LOGIT = 7.0
 # Maximum number of frames, evenly spaced in the recording, that are looked for in the map.
 _TRIED = 24
+# Reversed bits of 0 to 7.
+_ORDER = (0, 4, 2, 6, 1, 5, 3, 7)
 
 
 def open_splat_map(file: Path, settings: RunSettings, dataset: Dataset | None) -> MetricMap:
@@ -99,7 +101,3 @@ def _far_apart(indices: list[int]) -> list[int]:
     """The same in an order in which neighbours follow late: every eighth, then those between."""
     places = sorted(range(len(indices)), key=lambda place: (_ORDER[place % len(_ORDER)], place))
     return [indices[place] for place in places]
-
-
-# Reversed bits of 0 to 7.
-_ORDER = (0, 4, 2, 6, 1, 5, 3, 7)

@@ -107,6 +107,8 @@ def metric_map(
     seen = [_scaled(frame.T_map_camera, metres_per_roomy) for frame in located]
     poses = [*seen, *viewpoints(metric, small, _KEPT, _vertical(seen))]
     keyframes = list(_rendered(metric, small, poses, parts))
+    if not keyframes:
+        return None
     return MetricMap(
         _submap(metric, keyframes, parts.describer),
         metres_per_roomy * _EXTENT_M / size,

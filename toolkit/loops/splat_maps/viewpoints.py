@@ -9,6 +9,7 @@ a limited change of scale.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,9 +32,11 @@ _MIN_OPACITY, _MIN_SURFACE = 0.3, 0.6
 _CLEARANCE, _STEP = 4.0, 0.7
 # Maximum number of positions, number of rays from each, and number of directions of views.
 _POSITIONS, _RAYS, _DIRECTIONS = 300, 800, 32
-# Minimum fraction of the rays of a view that meet a surface, and maximum fraction of those that do
-# within a number of cells: near views show little of the map, and walls beside a camera are blurred.
+# Minimum fraction of the rays of a view that meet a surface, and maximum fraction that do so within
+# a number of cells: near views show little of the map, and a wall beside a camera is blurred.
 _MIN_SEEN, _MAX_NEAR, _NEAR = 0.6, 0.4, 8
+# Number of points of a Gaussian that represent its surface.
+_POINTS = 7
 # Larger Gaussians fill the whole map, and their points would exceed the range of cells.
 _MAX_LOG_SCALE = 10.0
 # Every further view of a surface at the same distance counts this times the one before.
@@ -102,11 +105,13 @@ class _Grid:
             return None
         shape = tuple(np.ceil((high - low) / size).astype(int) + 3)
         low = low - size
-        points, opacities = _surface_points(cloud)
-        cells = np.floor((points - low) / size).astype(np.int64)
-        inside = ((cells >= 0) & (cells < shape)).all(axis=1)
-        flat = np.ravel_multi_index(tuple(cells[inside].T), shape)
-        total = np.bincount(flat, opacities[inside], minlength=int(np.prod(shape)))
+        total = np.zeros(int(np.prod(shape)))
+        shares = cloud.opacities.double().numpy() / _POINTS
+        for points in _surface_points(cloud):
+            cells = np.floor((points - low) / size).astype(np.int64)
+            inside = ((cells >= 0) & (cells < shape)).all(axis=1)
+            flat = np.ravel_multi_index(tuple(cells[inside].T), shape)
+            total += np.bincount(flat, shares[inside], minlength=len(total))
         return cls(low, size, (total >= _MIN_SURFACE).reshape(shape))
 
     def free_positions(self) -> Array:
@@ -118,19 +123,18 @@ class _Grid:
         return np.asarray(self.low + (spread + 0.5) * self.size)
 
 
-def _surface_points(cloud: GaussianCloud) -> tuple[Array, Array]:
-    """Points [M, 3] on the Gaussians, and their shares [M] of the opacity.
+def _surface_points(cloud: GaussianCloud) -> Iterator[Array]:
+    """A point [N, 3] of each Gaussian, `_POINTS` times: its centre, and both sides of each axis.
 
-    The centres of large flat Gaussians leave gaps, so that points on their axes are added.
+    The centres of large flat Gaussians alone would leave gaps in a wall.
     """
-    means, opacities = cloud.means.double(), cloud.opacities.double()
-    shapes = cloud.as_ellipsoids()
+    means, shapes = cloud.means.double(), cloud.as_ellipsoids()
     scales = shapes.log_scales.double().clamp(max=_MAX_LOG_SCALE).exp()
     axes = rotation_matrices(shapes.rotations.double()) * scales[:, None]
-    points = [means, *(means + sign * axes[:, :, k] for k in range(3) for sign in (-1.0, 1.0))]
-    shares = opacities.repeat(len(points)) / len(points)
-    # A disc has two thin axes, whose points are at its centre.
-    return np.concatenate([p.numpy() for p in points]), shares.numpy()
+    yield means.numpy()
+    for axis in axes.unbind(2):
+        yield (means + axis).numpy()
+        yield (means - axis).numpy()
 
 
 @dataclass(frozen=True)
