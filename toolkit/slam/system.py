@@ -307,7 +307,7 @@ class Slam:
         """Convert the stored submaps of a finished run; nothing may be processed afterwards."""
         if self.unit.is_metre:
             return
-        for number in range(self.atlas.saved, len(self.atlas)):
+        for number in range(len(self.atlas)):
             if number not in self.atlas.unreadable:
                 self.atlas.put(self.unit.submap_in_metres(self.atlas.submap(number)))
 
