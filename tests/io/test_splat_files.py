@@ -256,6 +256,16 @@ def test_discs_and_giants_are_rendered(tmp_path, ellipsoids):
         assert bool(torch.isfinite(images).all())
 
 
+def test_opacities_of_0_and_1_are_written(tmp_path, cloud):
+    """As those of files of bytes; a writer that skips infinite values shifts all that follow."""
+    logits = cloud.opacity_logits.clone()
+    logits[0], logits[1] = np.inf, -np.inf
+    splats.write_splat_ply(tmp_path / "map.ply", replace(cloud, opacity_logits=logits))
+    read = read_cloud(tmp_path / "map.ply")
+    torch.testing.assert_close(read.opacities, logits.sigmoid())
+    torch.testing.assert_close(read.means, cloud.means)
+
+
 def test_a_file_without_any_number_is_refused(tmp_path, ellipsoids):
     one = ellipsoids.select(torch.tensor([0]))
     with pytest.raises(FormatError, match="no splat with finite values"):

@@ -32,6 +32,8 @@ HARMONICS = (0, 3, 8, 15)
 OWN_COLUMNS = ("positions", "f_dc", "f_rest", "opacity", "scale", "rot", "normals")
 # Opacities of 0 and 1 have no finite logit.
 _SMALLEST_OPACITY = 2.0**-24
+# Largest logit of an opacity that is written.
+_MAX_LOGIT = 40.0
 # Shorter axes of splats are read as this, in metres.
 _SMALLEST_M = 1e-9
 # Splats with a larger ratio of the longest to the shortest axis are not isotropic.
@@ -79,7 +81,8 @@ def columns_of(path: Path, splats: SplatLike) -> Columns:
     columns = {
         "positions": means,
         "f_dc": (_array(splats.colours) - np.float32(0.5)) / np.float32(CONSTANT_HARMONIC),
-        "opacity": _array(splats.opacity_logits)[:, None],
+        # RPly skips infinite values; the sigmoid is the same.
+        "opacity": np.clip(_array(splats.opacity_logits), -_MAX_LOGIT, _MAX_LOGIT)[:, None],
         "scale": scales_m,
         "rot": rotations,
     }

@@ -24,6 +24,7 @@ from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.anchors import align_anchors
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.parts import separate
+from toolkit.refinement.saved_labels import label_saved
 from toolkit.refinement.within import StepProgress, refine_submaps
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.camera_path import CameraPath
@@ -287,6 +288,7 @@ class Slam:
                 refine_submaps(self.atlas, self.mapper, poses, progress)
                 if self.mapper.options.final_anchors:
                     align_anchors(self.atlas, self.mapper, parts)
+                label_saved(self.atlas, self.mapper, parts)
                 free_space = self.mapper.options.free_space
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
         return self.result()
@@ -307,7 +309,7 @@ class Slam:
         """Convert the stored submaps of a finished run; nothing may be processed afterwards."""
         if self.unit.is_metre:
             return
-        for number in range(self.atlas.saved, len(self.atlas)):
+        for number in range(len(self.atlas)):
             if number not in self.atlas.unreadable:
                 self.atlas.put(self.unit.submap_in_metres(self.atlas.submap(number)))
 
