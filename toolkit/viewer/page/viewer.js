@@ -3,6 +3,12 @@
 const NO_WEBGL = "This browser offers no WebGL2, which the viewer needs. Use a current version of "
   + "Chrome, Edge, Firefox or Safari, and enable hardware acceleration.";
 
+// A still view is refined to the budget this long after the last motion.
+const REST_MS = 250;
+// While the view moves, fewer Gaussians of a streamed map are drawn if a picture takes longer.
+const MOVING_MS = 50;
+const LEAST_MOVING = 50000;
+
 class Viewer {
   constructor(canvas, gl, scene) {
     Object.assign(this, { canvas, gl, scene });
@@ -10,8 +16,17 @@ class Viewer {
     this.frames = 0; // drawn with the order of their own view
     this.dirty = false;
     this.lines = new LineRenderer(gl, scene);
+    this.detail = scene.stream ? new DetailStream(scene, () => this.arrived()) : null;
     this.splats = new SplatRenderer(gl, scene, (current) => this.redraw(current));
     this.colouring = new Colouring(scene);
+    this.fence = null;
+    this.frameMs = 0;
+    this.movingBudget = scene.stream?.budget;
+    if (this.detail) this.detail.start(this.splats, this.colouring);
+    else {
+      this.splats.upload(scene, 0, scene.count, 0);
+      this.splats.partsChanged();
+    }
     this.panel = new Panel(scene, this.colouring, this.actions());
     this.navigation = new Navigation(
       canvas, this.camera, () => this.moved(), (x, y) => this.click(x, y));
@@ -21,7 +36,7 @@ class Viewer {
 
   actions() {
     return {
-      colours: () => { this.splats.setColours(this.colouring.rgba()); this.redraw(true); },
+      colours: () => { this.recolour(); this.redraw(true); },
       layer: (name, shown) => { this.lines.shown[name] = shown; this.redraw(true); },
       reset: () => { this.camera.reset(this.scene); this.moved(); },
       overview: () => { this.camera.showAll(this.scene); this.moved(); },
@@ -42,9 +57,37 @@ class Viewer {
     this.moved();
   }
 
+  recolour() {
+    this.splats.viewDependent = this.colouring.observed;
+    if (this.detail) this.detail.recolour();
+    else this.splats.setColours(0, this.colouring.rgba(0, this.scene.count));
+  }
+
   moved() {
+    if (this.detail) {
+      clearTimeout(this.rest);
+      this.rest = setTimeout(() => this.rested(), REST_MS);
+      this.moving = true;
+      this.detail.choose(this.camera, this.movingBudget);
+    }
     this.splats.sort(this.camera);
     this.redraw(false);
+  }
+
+  /** The view is still: refine it as far as the budget of the map allows. */
+  rested() {
+    this.moving = false;
+    this.detail.choose(this.camera, this.scene.stream.budget);
+    this.splats.sort(this.camera);
+  }
+
+  /** More of the map has been loaded; pictures may take longer than the next part. */
+  arrived() {
+    this.arrival ??= setTimeout(() => {
+      this.arrival = undefined;
+      if (this.detail.update()) this.splats.sort(this.camera);
+      else this.redraw(true);
+    }, clamp(2 * this.frameMs, 30, 1500));
   }
 
   /** Draw soon; `current` says that the order of the Gaussians belongs to this view. */
@@ -56,6 +99,10 @@ class Viewer {
   }
 
   draw(time) {
+    if (this.detail && !this.drawn()) {
+      requestAnimationFrame((later) => this.draw(later));
+      return;
+    }
     this.dirty = false;
     const held = this.navigation?.step((time - (this.lastTime ?? time)) / 1000);
     this.lastTime = this.navigation?.keys.size ? time : undefined;
@@ -67,9 +114,30 @@ class Viewer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     this.splats.draw(camera);
     this.lines.draw(camera, this.pixelRatio);
-    if (this.current && this.splats.visible) this.canvas.dataset.frames = ++this.frames;
+    if (this.detail) this.fence = { sync: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0), begin: performance.now() };
+    if (this.detail) gl.flush();
+    if (this.current && this.splats.visible) {
+      this.canvas.dataset.frames = ++this.frames;
+      if (this.detail) this.canvas.dataset.complete = !this.moving && this.detail.complete && !this.splats.outdated;
+    }
     if (held) this.moved();
     else if (this.navigation?.keys.size) this.redraw(false);
+  }
+
+  /** Whether the graphics processor has finished the last picture; adapts the moving budget. */
+  drawn() {
+    const { gl, fence } = this;
+    if (!fence) return true;
+    if (gl.getSyncParameter(fence.sync, gl.SYNC_STATUS) !== gl.SIGNALED) return false;
+    gl.deleteSync(fence.sync);
+    this.fence = null;
+    this.frameMs = performance.now() - fence.begin;
+    if (this.moving) {
+      const factor = clamp(MOVING_MS / this.frameMs, 0.5, 1.2);
+      const { budget } = this.scene.stream;
+      this.movingBudget = clamp(factor * this.movingBudget, Math.min(LEAST_MOVING, budget), budget);
+    }
+    return true;
   }
 
   /** Show what lies at a pixel of the page; returns it. */
