@@ -21,6 +21,7 @@ SCRIPTS = (
     "gl_programs.js",
     "splat_renderer.js",
     "detail_stream.js",
+    "pace.js",
     "line_renderer.js",
     "colouring.js",
     "picking.js",

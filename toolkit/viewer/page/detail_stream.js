@@ -57,30 +57,41 @@ class DetailStream {
     this.update();
   }
 
-  /** Choose the nodes for a view, with at most `budget` Gaussians, and load what is missing. */
-  choose(camera, budget) {
+  /**
+   * Choose the nodes for a view, and load what is missing. At most `drawn` Gaussians are in view,
+   * and at most the budget of the map in all.
+   */
+  choose(camera, drawn) {
     const { nodeChildren, nodeCounts } = this;
-    this.round++;
+    const { budget } = this.scene.stream;
     const view = viewOf(camera);
     const queue = new NodeQueue();
-    const error = (node) => this.pixels(node, view);
-    this.wanted = [0];
+    const add = (node) => this.wanted.push(node) && queue.push(node, this.pixels(node, view));
+    this.round++;
+    this.wanted = [];
     this.refined.clear();
-    let total = nodeCounts[0];
-    queue.push(0, error(0));
+    this.limited = false; // by `drawn`
+    let total = nodeCounts[0], inView = nodeCounts[0];
+    add(0);
     while (queue.size) {
       const [node, pixels] = queue.pop();
       if (pixels < ENOUGH_PIXELS) break;
       const first = nodeChildren[2 * node], end = first + nodeChildren[2 * node + 1];
-      let more = -nodeCounts[node];
-      for (let child = first; child < end; child++) more += nodeCounts[child];
-      if (total + more > budget) continue;
-      total += more;
-      this.refined.add(node);
+      if (first === end) continue;
+      let more = -nodeCounts[node], moreInView = this.inView(node, view) ? more : 0;
       for (let child = first; child < end; child++) {
-        this.wanted.push(child);
-        if (nodeChildren[2 * child + 1]) queue.push(child, error(child));
+        more += nodeCounts[child];
+        if (this.inView(child, view)) moreInView += nodeCounts[child];
       }
+      if (total + more > budget) continue;
+      if (inView + moreInView > drawn) {
+        this.limited = true;
+        continue;
+      }
+      total += more;
+      inView += moreInView;
+      this.refined.add(node);
+      for (let child = first; child < end; child++) add(child);
     }
     this.needed = new Set(this.wanted);
     for (const node of this.wanted) {
@@ -92,26 +103,29 @@ class DetailStream {
   }
 
   /** Size in pixels of the cells of a node where it is nearest; less for nodes out of view. */
-  pixels(node, { eye, rows: [right, down, forward], focal, slopeX, slopeY }) {
-    const box = this.nodeBoxes.subarray(6 * node, 6 * node + 6);
-    let square = 0, radius = 0;
-    const middle = [0, 0, 0];
+  pixels(node, view) {
+    let square = 0;
     for (let axis = 0; axis < 3; axis++) {
-      const low = box[axis], high = box[3 + axis];
-      square += Math.max(low - eye[axis], eye[axis] - high, 0) ** 2;
-      radius += ((high - low) / 2) ** 2;
-      middle[axis] = (low + high) / 2 - eye[axis];
+      const low = this.nodeBoxes[6 * node + axis], high = this.nodeBoxes[6 * node + 3 + axis];
+      square += Math.max(low - view.eye[axis], view.eye[axis] - high, 0) ** 2;
     }
-    radius = Math.sqrt(radius);
-    const pixels = (this.nodeCells[node] * focal) / Math.max(Math.sqrt(square), NEAR_M);
-    const depth = dot(forward, middle) + radius;
-    const inView = depth > 0
-      && Math.abs(dot(right, middle)) < slopeX * depth + radius
-      && Math.abs(dot(down, middle)) < slopeY * depth + radius;
-    return inView ? pixels : OUT_OF_VIEW * pixels;
+    const pixels = (this.nodeCells[node] * view.focal) / Math.max(Math.sqrt(square), NEAR_M);
+    return this.inView(node, view) ? pixels : OUT_OF_VIEW * pixels;
   }
 
-  /** Whether all that the view needs is shown. */
+  /** Whether the ball around the box of a node may be in view. */
+  inView(node, { eye, rows: [right, down, forward], slopeX, slopeY }) {
+    const low = this.nodeBoxes.subarray(6 * node, 6 * node + 3);
+    const high = this.nodeBoxes.subarray(6 * node + 3, 6 * node + 6);
+    const middle = sub(scale(add(low, high), 0.5), eye);
+    const radius = norm(sub(high, low)) / 2;
+    const depth = dot(forward, middle);
+    return depth > -radius
+      && Math.abs(dot(right, middle)) < slopeX * depth + radius * Math.hypot(1, slopeX)
+      && Math.abs(dot(down, middle)) < slopeY * depth + radius * Math.hypot(1, slopeY);
+  }
+
+  /** Whether all that the view needs is loaded. */
   get complete() { return this.wanted.every((node) => this.resident.has(node)); }
 
   /** Show the finest nodes that are loaded completely; returns whether that is a change. */

@@ -3,11 +3,8 @@
 const NO_WEBGL = "This browser offers no WebGL2, which the viewer needs. Use a current version of "
   + "Chrome, Edge, Firefox or Safari, and enable hardware acceleration.";
 
-// A still view is refined to the budget this long after the last motion.
+// A view of a streamed map is still this long after its last motion.
 const REST_MS = 250;
-// While the view moves, fewer Gaussians of a streamed map are drawn if a picture takes longer.
-const MOVING_MS = 50;
-const LEAST_MOVING = 50000;
 
 class Viewer {
   constructor(canvas, gl, scene) {
@@ -19,9 +16,7 @@ class Viewer {
     this.detail = scene.stream ? new DetailStream(scene, () => this.arrived()) : null;
     this.splats = new SplatRenderer(gl, scene, (current) => this.redraw(current));
     this.colouring = new Colouring(scene);
-    this.fence = null;
-    this.frameMs = 0;
-    this.movingBudget = scene.stream?.budget;
+    this.pace = scene.stream ? new Pace(gl, scene.stream.budget) : null;
     if (this.detail) this.detail.start(this.splats, this.colouring);
     else {
       this.splats.upload(scene, 0, scene.count, 0);
@@ -68,16 +63,16 @@ class Viewer {
       clearTimeout(this.rest);
       this.rest = setTimeout(() => this.rested(), REST_MS);
       this.moving = true;
-      this.detail.choose(this.camera, this.movingBudget);
+      this.detail.choose(this.camera, this.pace.moving);
     }
     this.splats.sort(this.camera);
     this.redraw(false);
   }
 
-  /** The view is still: refine it as far as the budget of the map allows. */
+  /** The view is still: refine it. */
   rested() {
     this.moving = false;
-    this.detail.choose(this.camera, this.scene.stream.budget);
+    this.detail.choose(this.camera, this.pace.still);
     this.splats.sort(this.camera);
   }
 
@@ -87,7 +82,17 @@ class Viewer {
       this.arrival = undefined;
       if (this.detail.update()) this.splats.sort(this.camera);
       else this.redraw(true);
-    }, clamp(2 * this.frameMs, 30, 1500));
+    }, clamp(2 * this.pace.frameMs, 30, 1500));
+  }
+
+  /** A picture of a streamed map is finished. */
+  finished() {
+    const { detail, pace, splats } = this;
+    if (this.waiting) requestAnimationFrame((time) => this.draw(time));
+    const still = !this.moving && !this.arrival && detail.complete && !splats.outdated && !splats.busy;
+    const grown = still && detail.limited && pace.grow();
+    if (grown) this.rested();
+    this.canvas.dataset.complete = still && !grown;
   }
 
   /** Draw soon; `current` says that the order of the Gaussians belongs to this view. */
@@ -99,10 +104,8 @@ class Viewer {
   }
 
   draw(time) {
-    if (this.detail && !this.drawn()) {
-      requestAnimationFrame((later) => this.draw(later));
-      return;
-    }
+    this.waiting = Boolean(this.pace?.busy);
+    if (this.waiting) return;
     this.dirty = false;
     const held = this.navigation?.step((time - (this.lastTime ?? time)) / 1000);
     this.lastTime = this.navigation?.keys.size ? time : undefined;
@@ -114,30 +117,10 @@ class Viewer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     this.splats.draw(camera);
     this.lines.draw(camera, this.pixelRatio);
-    if (this.detail) this.fence = { sync: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0), begin: performance.now() };
-    if (this.detail) gl.flush();
-    if (this.current && this.splats.visible) {
-      this.canvas.dataset.frames = ++this.frames;
-      if (this.detail) this.canvas.dataset.complete = !this.moving && this.detail.complete && !this.splats.outdated;
-    }
+    if (this.current && this.splats.visible) this.canvas.dataset.frames = ++this.frames;
+    this.pace?.began(this.moving, () => this.finished());
     if (held) this.moved();
     else if (this.navigation?.keys.size) this.redraw(false);
-  }
-
-  /** Whether the graphics processor has finished the last picture; adapts the moving budget. */
-  drawn() {
-    const { gl, fence } = this;
-    if (!fence) return true;
-    if (gl.getSyncParameter(fence.sync, gl.SYNC_STATUS) !== gl.SIGNALED) return false;
-    gl.deleteSync(fence.sync);
-    this.fence = null;
-    this.frameMs = performance.now() - fence.begin;
-    if (this.moving) {
-      const factor = clamp(MOVING_MS / this.frameMs, 0.5, 1.2);
-      const { budget } = this.scene.stream;
-      this.movingBudget = clamp(factor * this.movingBudget, Math.min(LEAST_MOVING, budget), budget);
-    }
-    return true;
   }
 
   /** Show what lies at a pixel of the page; returns it. */
