@@ -1,7 +1,6 @@
 """Times the viewers in headless Chromium with software WebGL.
 
-    python -m benchmarks.viewer [--counts 100000 300000 500000] [--streamed 1000000 10000000]
-        [--repeats 3]
+    python -m benchmarks.viewer [--counts 100000 300000 500000] [--repeats 3]
 
 Needs chromium (apt-get install chromium), and playwright and viser from pip.
 """
@@ -27,8 +26,6 @@ from playwright.sync_api import sync_playwright
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table, Target, target_table
-from benchmarks.viewer_streams import DESCRIPTION as STREAMED
-from benchmarks.viewer_streams import streamed_table
 from toolkit.geometry.camera import Camera
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.viewer.html import write_page
@@ -44,7 +41,6 @@ FLAGS = (
 )
 SIZE = {"width": 1280, "height": 720}
 TARGET_COUNT, TARGET_S = 500_000, 10.0
-STREAMED_COUNT, STREAMED_S = 1_000_000, 3.0
 # A picture is drawn when this share of its middle is brighter than the background, but not white as
 # an empty page.
 DRAWN_SHARE, BACKGROUND, WHITE = 0.25, 40, 250
@@ -66,8 +62,6 @@ class Options:
 
     counts: tuple[int, ...] = (100_000, 300_000, TARGET_COUNT)
     """Numbers of Gaussians."""
-    streamed: tuple[int, ...] = (STREAMED_COUNT, 10_000_000)
-    """Numbers of Gaussians of streamed maps, which are measured once."""
     repeats: int = 3
     """Repetitions of each measurement."""
     out: Path = RESULTS
@@ -92,27 +86,15 @@ def main() -> int:
             drawn_s[count] = median["page drawn s"]
             cells = tuple(f"{value:.2f}" for value in median.values())
             rows.append((f"{count:,}", *cells))
-        streamed = streamed_table(browser, SIZE, options.streamed)
         browser.close()
     columns = ("Gaussians", *median)
-    first_s = None
-    if STREAMED_COUNT in options.streamed:
-        first_s = float(streamed.cell(f"{STREAMED_COUNT:,}", "first picture s"))
-    targets = [
-        Target(
-            f"page of {TARGET_COUNT:,} Gaussians drawn (s)",
-            drawn_s.get(TARGET_COUNT),
-            at_most=TARGET_S,
-        ),
-        Target(
-            f"first picture of {STREAMED_COUNT:,} streamed Gaussians (s)",
-            first_s,
-            at_most=STREAMED_S,
-        ),
-    ]
-    tables = (Table(columns, tuple(rows)), streamed, target_table(targets))
-    description = f"{DESCRIPTION}\n\n{STREAMED}"
-    publish(Results("viewer", "Viewers in the browser", description, header, tables), options.out)
+    target = Target(
+        f"page of {TARGET_COUNT:,} Gaussians drawn (s)",
+        drawn_s.get(TARGET_COUNT),
+        at_most=TARGET_S,
+    )
+    tables = (Table(columns, tuple(rows)), target_table([target]))
+    publish(Results("viewer", "Viewers in the browser", DESCRIPTION, header, tables), options.out)
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,9 +142,7 @@ def _cube(means_m: NDArray[np.float32], whole: bool) -> tuple[NDArray[np.float32
 class _Builder:
     """Divides the curve into nodes, then merges from the leaves to the root."""
 
-    def __init__(
-        self, splats: ShownSplats, curve: _Curve, node_size: int, root_size: int
-    ) -> None:
+    def __init__(self, splats: ShownSplats, curve: _Curve, node_size: int, root_size: int) -> None:
         self.splats, self._curve = splats, curve
         self._node_size, self._root_size = node_size, root_size
         self._axes_m = np.ascontiguousarray(splats.means_m.T)
@@ -173,7 +172,7 @@ class _Builder:
     def _joined(self, bounds: list[int]) -> list[tuple[int, int]]:
         """Join neighbouring small octants, each of which would be a request of its own."""
         parts = [(bounds[0], bounds[1])]
-        for begin, end in zip(bounds[1:-1], bounds[2:], strict=True):
+        for begin, end in pairwise(bounds[1:]):
             if end - parts[-1][0] <= self._node_size:
                 parts[-1] = (parts[-1][0], end)
             else:

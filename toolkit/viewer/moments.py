@@ -75,10 +75,10 @@ class Moments:
     def concatenate(cls, parts: Sequence[Moments]) -> Moments:
         """Concatenate in order."""
         return cls(
-            *(
-                np.concatenate([getattr(part, name) for part in parts])
-                for name in ("mass", "means_m", "covariances", "values")
-            ),
+            np.concatenate([part.mass for part in parts]),
+            np.concatenate([part.means_m for part in parts]),
+            np.concatenate([part.covariances for part in parts]),
+            np.concatenate([part.values for part in parts]),
             {name: np.concatenate([p.names[name] for p in parts]) for name in parts[0].names},
         )
 

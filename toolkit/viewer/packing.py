@@ -1,7 +1,8 @@
 """Compact binary form of a scene, or of a part of its Gaussians, for the page.
 
-Positions are stored as 16-bit fractions of the bounding box, sizes as 8-bit fractions of the range
-of their logarithms, colours, opacities and harmonics with 8 bits.
+Positions are stored as 16-bit fractions of the bounding box, or as they are if that would be
+visible; sizes as 8-bit fractions of the range of their logarithms, colours, opacities and harmonics
+with 8 bits.
 """
 
 from __future__ import annotations
@@ -25,6 +26,10 @@ from toolkit.viewer.scene import (
 )
 
 _JPEG_QUALITY = 72
+_POSITION_STEPS = 65535.0
+# Steps of positions are visible if they are larger than this share of a common standard deviation,
+# as in maps of other programs, which reach far beyond what they show.
+_VISIBLE_STEP = 0.5
 # Stored shapes are this fraction of the largest value of int16.
 _SHAPE_SCALE = 32767.0
 # Index of unknown nodes in the page.
@@ -128,7 +133,12 @@ def _pack_splats(packed: PackedScene, splats: ShownSplats) -> None:
     extent = np.maximum(high - low, 1e-6)
     header["count"] = len(splats)
     header["low"], header["extent"] = low.tolist(), extent.tolist()
-    packed.add("means", np.rint((splats.means_m - low) / extent * 65535.0).astype(np.uint16))
+    step_m = float(extent.max()) / _POSITION_STEPS
+    if step_m > _VISIBLE_STEP * float(np.median(splats.sigmas_m)):
+        packed.add("means", splats.means_m)
+    else:
+        steps = np.rint((splats.means_m - low) / extent * _POSITION_STEPS)
+        packed.add("means", steps.astype(np.uint16))
 
     logs = np.log(np.maximum(splats.sigmas_m, 1e-6))
     smallest, span = float(logs.min()), max(float(np.ptp(logs)), 1e-6)

@@ -58,7 +58,7 @@ class _Handler(BaseHTTPRequestHandler):
     shown: StreamedMap
     names: tuple[str, ...]
 
-    def do_GET(self) -> None:  # noqa: N802 (name of the base class)
+    def do_GET(self) -> None:
         host = (self.headers.get("Host") or "").rsplit(":", 1)[0].strip("[]")
         path = self.path.partition("?")[0]
         chunk = _CHUNK.fullmatch(path)
@@ -83,5 +83,5 @@ class _Handler(BaseHTTPRequestHandler):
         except ConnectionError:
             self.close_connection = True  # the page was closed meanwhile
 
-    def log_message(self, format: str, *args: object) -> None:
-        _log.debug(format, *args)
+    def log_message(self, *words: object) -> None:
+        _log.debug(*words)

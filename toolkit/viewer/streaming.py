@@ -45,7 +45,8 @@ class StreamedMap:
     ) -> StreamedMap:
         """Build the levels of detail of a scene; sizes as of `DetailTree.build`."""
         tree = DetailTree.build(scene.splats, node_size, root_size)
-        return cls(replace(scene, splats=tree.splats), tree, budget, highlight)
+        whole = replace(scene, splats=tree.splats, total=len(tree.splats))
+        return cls(whole, tree, budget, highlight)
 
     def chunk(self, number: int) -> bytes | None:
         """Return the packed Gaussians of a node, None if there is no such node."""
@@ -60,7 +61,8 @@ class StreamedMap:
         packed = pack(replace(self.scene, splats=self.tree.content(0)))
         packed.add("nodeBoxes", np.stack([node.box_m.ravel() for node in nodes]))
         packed.add("nodeCells", np.array([node.cell_m for node in nodes], np.float32))
-        packed.add("nodeCounts", np.array([self.tree.count(i) for i in range(len(nodes))], np.int32))
+        counts = [self.tree.count(number) for number in range(len(nodes))]
+        packed.add("nodeCounts", np.array(counts, np.int32))
         children = [(node.children.start, len(node.children)) for node in nodes]
         packed.add("nodeChildren", np.array(children, np.int32))
         packed.header |= {

@@ -4,13 +4,16 @@
 
 // Places of Gaussians are allocated in blocks of this many, a divisor of a texture's row.
 const BLOCK = 512;
-// Space for nodes that are not shown: those above the shown ones, and others for the way back.
-const SPARE = 1.5;
+// Space relative to the budget, for nodes that are not shown: those above the shown ones, and others
+// for the way back.
+const SPACE = 2;
 // Cells of merged Gaussians may have this size on the screen; those out of view count less.
 const ENOUGH_PIXELS = 1;
 const OUT_OF_VIEW = 0.15;
 const REQUESTS = 6;
 const RETRY_MS = 1000;
+
+const blocksFor = (count) => Math.ceil(count / BLOCK);
 
 class DetailStream {
   /** `changed()` is called when more can be shown. */
@@ -33,11 +36,11 @@ class DetailStream {
   allocate() {
     const { scene } = this;
     let all = 0;
-    for (const count of this.nodeCounts) all += BLOCK * Math.ceil(count / BLOCK);
-    const first = BLOCK * Math.ceil(scene.count / BLOCK);
-    const needed = Math.min(all, Math.max(Math.ceil(SPARE * scene.stream.budget), 4 * first));
+    for (const count of this.nodeCounts) all += blocksFor(count);
+    const needed = BLOCK * Math.min(all, blocksFor(SPACE * scene.stream.budget));
     scene.capacity = ROW * Math.ceil(needed / ROW);
-    this.free = Array.from({ length: scene.capacity / BLOCK }, (_, i) => i * BLOCK).reverse();
+    this.blocks = scene.capacity / BLOCK;
+    this.free = Array.from({ length: this.blocks }, (_, i) => i * BLOCK).reverse();
     this.root = { ...scene };
     for (const [name, width] of Object.entries(columnWidths(scene))) {
       // Shapes and harmonics are kept by the graphics processor only.
@@ -71,24 +74,26 @@ class DetailStream {
     this.wanted = [];
     this.refined.clear();
     this.limited = false; // by `drawn`
-    let total = nodeCounts[0], inView = nodeCounts[0];
+    let total = nodeCounts[0], inView = nodeCounts[0], blocks = blocksFor(nodeCounts[0]);
     add(0);
     while (queue.size) {
       const [node, pixels] = queue.pop();
       if (pixels < ENOUGH_PIXELS) break;
       const first = nodeChildren[2 * node], end = first + nodeChildren[2 * node + 1];
       if (first === end) continue;
-      let more = -nodeCounts[node], moreInView = this.inView(node, view) ? more : 0;
+      let more = -nodeCounts[node], moreInView = this.inView(node, view) ? more : 0, moreBlocks = 0;
       for (let child = first; child < end; child++) {
         more += nodeCounts[child];
+        moreBlocks += blocksFor(nodeCounts[child]);
         if (this.inView(child, view)) moreInView += nodeCounts[child];
       }
-      if (total + more > budget) continue;
+      if (total + more > budget || blocks + moreBlocks > this.blocks) continue;
       if (inView + moreInView > drawn) {
         this.limited = true;
         continue;
       }
       total += more;
+      blocks += moreBlocks;
       inView += moreInView;
       this.refined.add(node);
       for (let child = first; child < end; child++) add(child);
@@ -180,7 +185,7 @@ class DetailStream {
 
   /** Free enough places; false if all are in use. */
   makeSpace(count) {
-    const blocks = Math.ceil(count / BLOCK);
+    const blocks = blocksFor(count);
     if (this.free.length >= blocks) return true;
     const unused = [...this.resident].filter(([node, { lastCut }]) =>
       !this.needed.has(node) && lastCut < this.renderer.drawnCut);
@@ -196,7 +201,7 @@ class DetailStream {
   /** Keep the Gaussians of a node, in places that need not follow each other. */
   store(node, columns) {
     const { scene, renderer } = this;
-    const blocks = this.free.splice(this.free.length - Math.ceil(columns.count / BLOCK)).reverse();
+    const blocks = this.free.splice(this.free.length - blocksFor(columns.count)).reverse();
     const parts = [];
     const widths = Object.entries(columnWidths(scene));
     blocks.forEach((first, i) => {

@@ -73,6 +73,7 @@ function decodeBase64(text) {
 }
 
 function positions(header, packed) {
+  if (packed instanceof Float32Array) return packed;
   const means = new Float32Array(packed.length);
   for (let i = 0; i < packed.length; i++) {
     means[i] = header.low[i % 3] + (packed[i] / 65535) * header.extent[i % 3];
