@@ -35,8 +35,8 @@ _ROOM_M = np.array([6.0, 3.0, 5.0])
 _TIMEOUT_MS = 300_000
 _TURNS_S = 6.0
 DESCRIPTION = """\
-A file with a building of rooms of 250,000 Gaussians each, without ceilings, seen from above, with at
-most 1,000,000 Gaussians at once. The window has 1280x720 pixels. Ready is the time from the start
+A file with a building of rooms of 250,000 Gaussians each, without ceilings, seen from above, with
+at most 1,000,000 Gaussians at once. The window has 1280x720 pixels. Ready is the time from the start
 of the program to its address. First picture, complete view and the data sent for it are counted
 from opening the page. A view is complete when all is loaded that the graphics can draw in about
 1.5 s, which in software is fewer than 1,000,000 Gaussians. Close is the time until the view is
