@@ -42,8 +42,8 @@ counted from opening the page. A view is complete when all is loaded that the gr
 about 1.5 s, which in software is fewer than 1,000,000 Gaussians. Close is the time until the view
 is complete again after moving to the middle of one room. Memory is that of the page and of the
 graphics process, which holds textures and renders in software here. Frames are those of a turning
-view in this room after 15 s, when the number of Gaussians has followed the time per frame; software
-takes most of it for pixels. Software rendering (SwiftShader) on the processor."""
+view in this room after 15 s, when the numbers of Gaussians and of pixels have followed the time per
+frame. Software rendering (SwiftShader) on the processor."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ const STILL_MS = 1500;
 // Gaussians cover the same pixels.
 const LEAST_MOVING = 100000;
 const LEAST_STILL = 250000;
+// Pictures in motion become smaller instead, down to this share of the width.
+const LEAST_SCALE = 0.25;
 
 class Pace {
   /** At most `budget` Gaussians are drawn, however fast the graphics are. */
@@ -14,6 +16,7 @@ class Pace {
     Object.assign(this, { gl, budget });
     this.moving = Math.min(LEAST_MOVING, budget);
     this.still = Math.min(LEAST_STILL, budget);
+    this.scale = 1; // of pictures in motion
     this.frameMs = 0;
     this.busy = false;
   }
@@ -34,13 +37,19 @@ class Pace {
       gl.deleteSync(fence);
       this.busy = false;
       this.frameMs = performance.now() - begin;
-      if (moving) {
-        const factor = clamp(MOVING_MS / this.frameMs, 0.5, 1.25);
-        this.moving = clamp(factor * this.moving, Math.min(LEAST_MOVING, this.budget), this.budget);
-      }
+      if (moving) this.adapt();
       finished();
     };
     requestAnimationFrame(check);
+  }
+
+  /** After a picture in motion: draw fewer Gaussians, then fewer pixels; or more of them. */
+  adapt() {
+    const factor = clamp(MOVING_MS / this.frameMs, 0.5, 1.25);
+    const least = Math.min(LEAST_MOVING, this.budget);
+    if (factor < 1 ? this.moving === least : this.scale < 1) {
+      this.scale = clamp(Math.sqrt(factor) * this.scale, LEAST_SCALE, 1);
+    } else this.moving = clamp(factor * this.moving, least, this.budget);
   }
 
   /** After the picture of a still view: allow more for it; false if that would take too long. */

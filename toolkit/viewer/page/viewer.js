@@ -12,6 +12,7 @@ class Viewer {
     this.camera = new ViewCamera(scene);
     this.frames = 0; // drawn with the order of their own view
     this.dirty = false;
+    this.scale = 1; // of the picture, less while a streamed map moves on slow graphics
     this.lines = new LineRenderer(gl, scene);
     this.detail = scene.stream ? new DetailStream(scene, () => this.arrived()) : null;
     this.splats = new SplatRenderer(gl, scene, (current) => this.redraw(current));
@@ -43,13 +44,19 @@ class Viewer {
     };
   }
 
-  get pixelRatio() { return Math.min(devicePixelRatio || 1, 2); }
+  get pixelRatio() { return this.scale * Math.min(devicePixelRatio || 1, 2); }
 
   resize() {
-    const { canvas, camera } = this;
-    camera.width = canvas.width = Math.max(1, Math.round(canvas.clientWidth * this.pixelRatio));
-    camera.height = canvas.height = Math.max(1, Math.round(canvas.clientHeight * this.pixelRatio));
+    this.setScale(this.scale);
     this.moved();
+  }
+
+  /** Set the size of the next picture. The canvas follows then, because that clears it. */
+  setScale(scale) {
+    const { canvas, camera } = this;
+    this.scale = scale;
+    camera.width = Math.max(1, Math.round(canvas.clientWidth * this.pixelRatio));
+    camera.height = Math.max(1, Math.round(canvas.clientHeight * this.pixelRatio));
   }
 
   recolour() {
@@ -63,6 +70,7 @@ class Viewer {
       clearTimeout(this.rest);
       this.rest = setTimeout(() => this.rested(), REST_MS);
       this.moving = true;
+      this.setScale(this.pace.scale);
       this.detail.choose(this.camera, this.pace.moving);
     }
     this.splats.sort(this.camera);
@@ -72,6 +80,7 @@ class Viewer {
   /** The view is still: refine it. */
   rested() {
     this.moving = false;
+    this.setScale(1);
     this.detail.choose(this.camera, this.pace.still);
     this.splats.sort(this.camera);
   }
@@ -109,7 +118,9 @@ class Viewer {
     this.dirty = false;
     const held = this.navigation?.step((time - (this.lastTime ?? time)) / 1000);
     this.lastTime = this.navigation?.keys.size ? time : undefined;
-    const { gl, camera } = this;
+    const { gl, camera, canvas } = this;
+    if (canvas.width !== camera.width) canvas.width = camera.width;
+    if (canvas.height !== camera.height) canvas.height = camera.height;
     gl.viewport(0, 0, camera.width, camera.height);
     gl.clearColor(0.05, 0.062, 0.082, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
