@@ -5,7 +5,7 @@ const MOVING_MS = 50;
 const STILL_MS = 1500;
 // The first pictures have this many. With fewer, pictures are not faster, but blurred: merged
 // Gaussians cover the same pixels.
-const LEAST_MOVING = 100000;
+const LEAST_MOVING = 50000;
 const LEAST_STILL = 250000;
 // Pictures in motion become smaller instead, down to this share of the width.
 const LEAST_SCALE = 0.25;

@@ -67,14 +67,19 @@ class Viewer {
 
   moved() {
     if (this.detail) {
-      clearTimeout(this.rest);
-      this.rest = setTimeout(() => this.rested(), REST_MS);
       this.moving = true;
+      this.awaitRest();
       this.setScale(this.pace.scale);
       this.detail.choose(this.camera, this.pace.moving);
     }
     this.splats.sort(this.camera);
     this.redraw(false);
+  }
+
+  /** While a picture is drawn, motions may be waiting behind it. */
+  awaitRest() {
+    clearTimeout(this.rest);
+    this.rest = setTimeout(() => (this.pace.busy ? this.awaitRest() : this.rested()), REST_MS);
   }
 
   /** The view is still: refine it. */
@@ -98,6 +103,7 @@ class Viewer {
   finished() {
     const { detail, pace, splats } = this;
     if (this.waiting) requestAnimationFrame((time) => this.draw(time));
+    if (this.moving) this.awaitRest();
     const still = !this.moving && !this.arrival && detail.complete && !splats.outdated && !splats.busy;
     const grown = still && detail.limited && pace.grow();
     if (grown) this.rested();
