@@ -135,7 +135,7 @@ def test_a_recording_of_another_room_is_refused(splats, tmp_path, capsys):
         (["--loops.no-use"], "loops.use"),
         (["--depth", "none"], "--map needs depth images"),
         (["--map", "nothing.ply"], "nothing.ply does not exist"),
-        (["--map", "map.ksplat"], "convert it to .ply"),
+        (["--map", "map.lcc"], "convert it to .ply"),
     ],
 )
 def test_bad_input(splats, tmp_path, capsys, words, said):

@@ -104,6 +104,10 @@ class ViewOptions:
     """Port to listen on; 0 takes any free port."""
     highlight: tuple[str, ...] = ()
     """Classes and groups that are highlighted at the start."""
+    budget: PositiveInt = 1_000_000
+    """Maximum number of Gaussians that a browser draws at once of a map with more than
+    --viewer.max-gaussians, which is streamed in levels of detail. A browser needs about 0.3 kB of
+    memory for each."""
     viewer: ShownContent = ShownContent()
 
 
