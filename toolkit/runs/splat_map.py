@@ -14,7 +14,7 @@ from toolkit.features.factory import build_describer
 from toolkit.frame import Frame
 from toolkit.keyframe import evenly_spaced
 from toolkit.loops.splat_maps.metric_map import MapParts, MetricMap, metric_map
-from toolkit.rendering import backend, map_device
+from toolkit.rendering import backend
 from toolkit.runs.folder import read_cloud
 from toolkit.runs.settings import RunSettings
 from toolkit.tracking.depth_filter import DepthFilter
@@ -48,11 +48,6 @@ def open_splat_map(file: Path, settings: RunSettings, dataset: Dataset | None) -
     # The opacities of files of 8 bits are 0 and 1, which optimisation could not change.
     limited = cloud.opacity_logits.clamp(-_MAX_LOGIT, _MAX_LOGIT)
     cloud = replace(cloud, opacity_logits=limited)
-    on_gpu = map_device(settings.device, settings.backend) == "cuda"
-    if cloud.ellipsoids is not None and on_gpu and settings.backend in ("auto", "cuda"):
-        raise SettingsError(
-            f"--map {file} has ellipsoids, which the cuda backend cannot render; use --device cpu"
-        )
     describer = build_describer(settings.loops.features)
     options = settings.loops.relocalisation
     parts = MapParts(backend(settings.backend), tracker, describer, options)
