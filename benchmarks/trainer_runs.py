@@ -55,9 +55,14 @@ def our_map(arguments: Sequence[str], shape: str, seed: int, out: Path) -> float
         arguments: of `semsplat run`, which choose frames and poses.
         shape: of the finished map.
     """
-    options = ["--hold-out", str(HOLD_OUT), "--segmenter.kind", "none"]
-    options += ["--mapping.final-shape", shape, "--seed", str(seed), "--out", str(out)]
+    options = [*our_options(shape), "--seed", str(seed), "--out", str(out)]
     return cpu_seconds(semsplat_command("run", *arguments, *options))
+
+
+def our_options(shape: str) -> list[str]:
+    """Options of `semsplat run` for a map without semantics, whose Gaussians end in a shape."""
+    without = ["--segmenter.kind", "none"]
+    return ["--hold-out", str(HOLD_OUT), *without, "--mapping.final-shape", shape]
 
 
 def trainer_input(run: FinishedRun, folder: Path, points: int, seed: int) -> Path:

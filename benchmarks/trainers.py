@@ -52,6 +52,11 @@ class Case:
     poses: str = "given"
     real: bool = False
 
+    @property
+    def row(self) -> list[str]:
+        """Name of the sequence, and options of `semsplat run`."""
+        return [self.sequence, *self.options, "--poses", self.poses]
+
 
 _SIXTY = ("--max-frames", "60")
 CASES = {
@@ -61,20 +66,20 @@ CASES = {
     "RedKitchen 320x240, tracked poses": Case("redkitchen", _SIXTY, "slam", real=True),
 }
 DESCRIPTION = f"""\
-Every fifth frame is held out from both programs. `semsplat run` without semantics, otherwise default settings, with each `--mapping.final-shape`; its CPU seconds
-are those of the whole process, start and evaluation included. OpenSplat (CPU build) gets the
-keyframes of our map, the same poses and {POINTS // 1000} k points of their depth images, and is run
-in the input's frame and at full resolution from the first step (`--num-downscales 0`), otherwise
-with its default settings. "Equal CPU time" has as many steps as fit into the CPU time of our
-slower map, "long" as many as fit into `--long-s` CPU seconds; both are estimated from two short
-runs, and the learning rates of each run end with it. The map half-way through the long run shows
-how far that run is from convergence.
+Every fifth frame is held out from both programs. `semsplat run` without semantics, otherwise
+default settings, with each `--mapping.final-shape`; its CPU seconds are those of the whole process,
+start and evaluation included. OpenSplat (CPU build) gets the keyframes of our map, the same poses
+and {POINTS // 1000} k points of their depth images, and is run in the input's frame and at full
+resolution from the first step (`--num-downscales 0`), otherwise with its default settings. "Equal
+CPU time" has as many steps as fit into the CPU time of our slower map, "long" as many as fit into
+`--long-s` CPU seconds; both are estimated from two short runs, and the learning rates of each run
+end with it. The map half-way through the long run shows how far that run is from convergence.
 
 The splat files of both are read and rendered at the poses of the held-out frames by the same code,
 on black; MB are those of the files (OpenSplat's hold third-degree harmonics). On the real recording
-a gain and a bias are fitted to each view. OpenSplat's CPU code assumes the principal point in the
-centre of the image, and its maps are rendered with the camera that they were trained with. Targets
-compare ellipsoids with OpenSplat."""
+a gain and a bias are fitted to each view; tracked poses are those of our run. OpenSplat's CPU code
+assumes the principal point in the centre of the image, and its maps are rendered with the camera
+that they were trained with. Targets compare ellipsoids with OpenSplat."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +128,8 @@ def measure(job: list[Any], seed: int, trainer: OpenSplat) -> dict[str, Metrics]
     folder = WORK / "trainers" / name.replace(" ", "-")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    arguments = [*sequence_arguments(case.sequence), *case.options, "--poses", case.poses]
+    sequence, *options = case.row
+    arguments = [*sequence_arguments(sequence), *options]
     effort: dict[str, Metrics] = {
         shape: {CPU: our_map(arguments, shape, seed, folder / shape)} for shape in SHAPES
     }
