@@ -43,19 +43,17 @@ class Case:
     Attributes:
         sequence: its name in `benchmarks.recordings`.
         options: further options of `semsplat run`, which choose the frames.
-        poses: of `semsplat run`: the given ones, or those that it tracks (slam).
         real: a real sensor, whose exposure varies: a gain and a bias are fitted to each view.
     """
 
     sequence: str
     options: tuple[str, ...]
-    poses: str = "given"
     real: bool = False
 
     @property
     def row(self) -> list[str]:
         """Name of the sequence, and options of `semsplat run`."""
-        return [self.sequence, *self.options, "--poses", self.poses]
+        return [self.sequence, *self.options, "--poses", "given"]
 
 
 _SIXTY = ("--max-frames", "60")
@@ -63,23 +61,23 @@ CASES = {
     "office0 300x170": Case("office0", ("--image-size", "300", "170")),
     "room 320x240": Case("room", _SIXTY),
     "RedKitchen 320x240, given poses": Case("redkitchen", _SIXTY, real=True),
-    "RedKitchen 320x240, tracked poses": Case("redkitchen", _SIXTY, "slam", real=True),
 }
 DESCRIPTION = f"""\
-Every fifth frame is held out from both programs. `semsplat run` without semantics, otherwise
-default settings, with each `--mapping.final-shape`; its CPU seconds are those of the whole process,
-start and evaluation included. OpenSplat (CPU build) gets the keyframes of our map, the same poses
-and {POINTS // 1000} k points of their depth images, and is run in the input's frame and at full
-resolution from the first step (`--num-downscales 0`), otherwise with its default settings. "Equal
-CPU time" has as many steps as fit into the CPU time of our slower map, "long" as many as fit into
-`--long-s` CPU seconds; both are estimated from two short runs, and the learning rates of each run
-end with it. The map half-way through the long run shows how far that run is from convergence.
+Every fifth frame is held out from both programs, and the poses are the recording's. `semsplat run`
+without semantics, otherwise default settings, with each `--mapping.final-shape`; its CPU seconds
+are those of the whole process, start and evaluation included. OpenSplat (CPU build) gets the
+keyframes of our map, the same poses and {POINTS // 1000} k points of their depth images, and is run
+in the input's frame and at full resolution from the first step (`--num-downscales 0`), otherwise
+with its default settings. "Equal CPU time" has as many steps as fit into the CPU time of our
+slower map, "long" as many as fit into `--long-s` CPU seconds; both are estimated from two short
+runs, and the learning rates of each run end with it. The map half-way through the long run
+shows how far that run is from convergence.
 
 The splat files of both are read and rendered at the poses of the held-out frames by the same code,
 on black; MB are those of the files (OpenSplat's hold third-degree harmonics). On the real recording
-a gain and a bias are fitted to each view; tracked poses are those of our run. OpenSplat's CPU code
-assumes the principal point in the centre of the image, and its maps are rendered with the camera
-that they were trained with. Targets compare ellipsoids with OpenSplat."""
+a gain and a bias are fitted to each view. OpenSplat's CPU code assumes the principal point in the
+centre of the image, and its maps are rendered with the camera that they were trained with. Targets
+compare ellipsoids with OpenSplat."""
 
 
 @dataclass(frozen=True, kw_only=True)
