@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,17 +25,35 @@ from toolkit.runs.folder import read_cloud
 _APPROACH = 0.6
 
 
-def splat_camera(camera: Camera) -> Camera:
-    """The camera that OpenSplat's CPU code trains with: the principal point is the centre."""
-    return replace(camera, cx=(camera.width - 1) / 2, cy=(camera.height - 1) / 2)
+# Colour behind OpenSplat's maps while they are trained (nerfstudio's).
+_BACKGROUND = (0.6130, 0.0101, 0.3984)
 
 
-def scores(run: FinishedRun, path: Path, camera: Camera, fitted: bool) -> Metrics:
+@dataclass(frozen=True)
+class Look:
+    """How a map is rendered: as while it was trained.
+
+    Attributes:
+        camera: intrinsics.
+        background: red, green and blue in [0, 1] behind the map.
+    """
+
+    camera: Camera
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def trained_look(camera: Camera) -> Look:
+    """How OpenSplat's CPU code sees a map: the principal point is the image's centre."""
+    centred = replace(camera, cx=(camera.width - 1) / 2, cy=(camera.height - 1) / 2)
+    return Look(centred, _BACKGROUND)
+
+
+def scores(run: FinishedRun, path: Path, look: Look, fitted: bool) -> Metrics:
     """Quality of a splat file on the held-out frames of a run, and its size.
 
     Args:
         path: of the file, in the frame of the run's map.
-        camera: that the file is rendered with.
+        look: how the file is rendered.
         fitted: whether a gain and a bias are fitted to each view.
     """
     cloud, dataset = read_cloud(path), run.open_dataset()
@@ -43,7 +61,7 @@ def scores(run: FinishedRun, path: Path, camera: Camera, fitted: bool) -> Metric
     for frame in run.tracked:
         if frame.held_out:
             observed = dataset[frame.index].rgb
-            rendered = rendered_view(cloud, camera, frame.T_map_camera)
+            rendered = rendered_view(cloud, look, frame.T_map_camera)
             if fitted:
                 everywhere = np.ones(observed.shape[:2], bool)
                 rendered = affinely_fitted(rendered, observed, everywhere)
@@ -58,21 +76,21 @@ def scores(run: FinishedRun, path: Path, camera: Camera, fitted: bool) -> Metric
 
 
 def rendered_view(
-    cloud: GaussianCloud, camera: Camera, T_map_camera: NDArray[np.float64]
+    cloud: GaussianCloud, look: Look, T_map_camera: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Colour [H, W, 3] of Gaussians from a camera, on black."""
+    """Colour [H, W, 3] of Gaussians from a camera, before the background of their look."""
     with torch.no_grad():
-        colour = render(cloud, camera, se3.inverse(T_map_camera)).colour
+        output = render(cloud, look.camera, se3.inverse(T_map_camera))
+        behind = 1.0 - output.silhouette[..., None]
+        colour = output.colour + behind * torch.tensor(look.background)
     return np.asarray(colour.clamp(0.0, 1.0).numpy(), np.float32)
 
 
-def near_views(
-    run: FinishedRun, maps: Mapping[str, Path], cameras: Mapping[str, Camera]
-) -> RgbImage:
+def near_views(run: FinishedRun, maps: Mapping[str, Path], looks: Mapping[str, Look]) -> RgbImage:
     """All maps side by side, from closer to the scene than any held-out frame; rows are views.
 
     Args:
-        maps, cameras: splat files and the cameras to render them with, by caption.
+        maps, looks: splat files and how they are rendered, by caption.
     """
     dataset = run.open_dataset()
     held_out = [frame for frame in run.tracked if frame.held_out]
@@ -82,7 +100,7 @@ def near_views(
     for frame in chosen:
         T_map_camera = approached(frame.T_map_camera, dataset[frame.index].depth_m)
         panels = [
-            Panel(name, colour_image(rendered_view(cloud, cameras[name], T_map_camera)))
+            Panel(name, colour_image(rendered_view(cloud, looks[name], T_map_camera)))
             for name, cloud in clouds.items()
         ]
         rows.append(strip(panels))

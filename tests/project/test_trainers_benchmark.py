@@ -15,6 +15,7 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.splats import Splats, write_splat_ply
+from toolkit.runs.folder import read_cloud
 
 CAMERA = Camera(40.0, 40.0, 16.0, 11.0, 32, 24)
 T_MAP_CAMERA = se3.exp(np.array([0.3, -0.2, 0.1, 0.1, 0.2, -0.3]))
@@ -144,17 +145,22 @@ def test_both_maps_are_scored_on_held_out_frames_by_one_code(tmp_path):
         open_dataset=lambda: images,
     )
     plain, fitted = (
-        trainer_scores.scores(run, path, trainer_scores.splat_camera(CAMERA), fit)
-        for fit in (False, True)
+        trainer_scores.scores(run, path, trainer_scores.Look(CAMERA), fit) for fit in (False, True)
     )
     assert plain["unseen psnr db"] == pytest.approx(-20.0 * np.log10(0.25), abs=0.2)
     assert fitted["unseen psnr db"] > 40.0
     assert plain["gaussians"] == 1 and plain["mb"] == path.stat().st_size / 1e6
 
 
-def test_the_trainers_principal_point_is_the_centre_of_the_image():
-    camera = trainer_scores.splat_camera(CAMERA)
-    assert (camera.cx, camera.cy, camera.fx) == (15.5, 11.5, CAMERA.fx)
+def test_the_trainers_maps_are_seen_as_while_they_are_trained(tmp_path):
+    look = trainer_scores.trained_look(CAMERA)
+    assert (look.camera.cx, look.camera.cy, look.camera.fx) == (15.5, 11.5, CAMERA.fx)
+    path = tmp_path / "map.ply"
+    behind = np.array([[0.0, 0.0, -1.0]], np.float32)
+    one = np.ones(1, np.float32)
+    write_splat_ply(path, Splats(behind, one, one, np.ones((1, 3), np.float32)))
+    empty = trainer_scores.rendered_view(read_cloud(path), look, np.eye(4))
+    np.testing.assert_allclose(empty[0, 0], look.background, rtol=1e-6)
 
 
 def test_each_map_of_a_recording_is_a_row():
