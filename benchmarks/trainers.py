@@ -43,13 +43,11 @@ class Case:
     Attributes:
         sequence: its name in `benchmarks.recordings`.
         options: further options of `semsplat run`, which choose the frames.
-        long_s: CPU seconds of OpenSplat's long run.
         real: a real sensor, whose exposure varies: a gain and a bias are fitted to each view.
     """
 
     sequence: str
     options: tuple[str, ...]
-    long_s: float = 150.0
     real: bool = False
 
     @property
@@ -61,8 +59,8 @@ class Case:
 _SIXTY = ("--max-frames", "60")
 CASES = {
     "office0 300x170": Case("office0", ("--image-size", "300", "170")),
-    "room 320x240": Case("room", _SIXTY, long_s=60.0),
-    "RedKitchen 320x240, given poses": Case("redkitchen", _SIXTY, real=True),
+    "room 320x240": Case("room", _SIXTY),
+    "RedKitchen 320x240": Case("redkitchen", _SIXTY, real=True),
 }
 DESCRIPTION = f"""\
 Every fifth frame is held out from both programs, and the poses are the recording's. `semsplat run`
@@ -71,7 +69,7 @@ are those of the whole process, start and evaluation included. OpenSplat (CPU bu
 keyframes of our map, the same poses and {POINTS // 1000} k points of their depth images, and is run
 in the input's frame and at full resolution from the first step (`--num-downscales 0`), otherwise
 with its default settings. "Equal CPU time" has as many steps as fit into the CPU time of our
-slower map, "long" as many as fit into 150 CPU seconds (room: 60); both are estimated from two short
+slower map, "long" as many as fit into `--long-s` CPU seconds; both are estimated from two short
 runs, and the learning rates of each run end with it. The map half-way through the long run
 shows how far that run is from convergence.
 
@@ -89,9 +87,8 @@ class Options(ReportOptions):
 
     opensplat: Path | None = None
     """OpenSplat's program; by default the variable OPENSPLAT."""
-    long_s: float | None = None
-    """CPU seconds of OpenSplat's long run on each recording; by default 60 (room) or 150, which
-    takes minutes. Its convergence takes more."""
+    long_s: float = 90.0
+    """CPU seconds of OpenSplat's long run on each recording."""
 
 
 def main() -> None:
@@ -99,7 +96,7 @@ def main() -> None:
     options = tyro.cli(Options)
     program = program_path(options.opensplat, os.environ)
     report = Report("trainers", "Trainers at equal effort", DESCRIPTION, options)
-    jobs = {name: [name, options.long_s or case.long_s] for name, case in CASES.items()}
+    jobs = {name: [name, options.long_s] for name in CASES}
     found = report.measured(jobs, lambda job, seed: measure(job, seed, OpenSplat(program)))
     rows = rows_of(found)
     table = table_of(COLUMNS, rows, "recording, map")
