@@ -48,7 +48,7 @@ $(DEMO_ROOM)/unseen/cam_params.json: | ready
 	.venv/bin/semsplat make-room --out $(DEMO_ROOM)
 
 # One thread per worker, since two workers share the processor.
-test: ready .stamps/emulator .stamps/vulkan .stamps/chromium
+test: ready .stamps/emulator .stamps/vulkan .stamps/chromium .stamps/gltf-validator
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
 bench: ready $(DEMO_ROOM)/unseen/cam_params.json
@@ -141,6 +141,14 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 		( $(call apt,chromium,the browser for tests of the viewers is) ) || true; \
 	fi
 	@if command -v chromium >/dev/null; then touch $@; fi
+
+# Splats as glTF are checked with the validator of the Khronos Group; without npm, this is skipped.
+.stamps/gltf-validator: | .stamps
+	@if command -v npm >/dev/null; then \
+		npm install --silent --no-audit --no-fund --fetch-retries 0 --prefix .stamps/node \
+			gltf-validator@2.0.0-dev.3.10 || true; \
+	fi
+	@if [ -d .stamps/node/node_modules/gltf-validator ]; then touch $@; fi
 
 clean:
 	rm -rf .stamps build site *.egg-info toolkit/native/variants

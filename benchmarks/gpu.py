@@ -54,7 +54,7 @@ ON_DEMAND = ("tunings", "profile")
 def compile_table(channels: tuple[int, ...], capabilities: tuple[int, ...]) -> None:
     """What every kernel uses as machine code; no GPU is asked."""
     from benchmarks.gpu_kernels import every_kernel
-    from toolkit.rendering.cuda.backend import Tuning
+    from toolkit.rendering.cuda.tuning import Tuning
 
     columns = ("sm", "channels", "kernel", "registers", "stack bytes", "shared bytes")
     table("Kernels as machine code", *columns, "tensor-core ops")
@@ -96,6 +96,7 @@ def measure(plan: Plan, parts: list[str], recordings: list[tuple[str, str]]) -> 
         torch.set_deterministic_debug_mode("default")
     if "render" in parts:
         gpu_render.render_table(plan)
+        gpu_render.ellipsoids_table(plan)
     if "tunings" in parts:
         gpu_render.tunings_table(plan)
     if "frames" in parts:

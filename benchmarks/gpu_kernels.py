@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import subprocess
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from triton.compiler import ASTSource
 
 from toolkit.alignment.cuda import accumulation
 from toolkit.rendering.cuda import compositing, differentiation, projection, reduction
-from toolkit.rendering.cuda.backend import Tuning, block_of
+from toolkit.rendering.cuda.tuning import Tuning, block_of
 
 _FLOAT, _INT, _LONG = "*fp32", "*i32", "*i64"
 # Types by argument; what is not named here is a 32-bit integer, and capitals are constants.
@@ -101,14 +101,27 @@ def _output(*command: object) -> str:
 
 def every_kernel(capability: int, channels: int, tuning: Tuning) -> list[Compiled]:
     """All kernels of rendering with so many feature channels, and of alignment."""
-    side, batch = tuning.side, tuning.batch
-    block = block_of(channels, tuning.channels_forward)
-    tile = {"SIDE": side, "BATCH": batch, "PRECISION": tuning.precision}
-    few = {"SIDE": side, "HAS_REGION": True, "BLOCK": 128}
-    widest = tuning.channels_backward if channels else 0
+    few = {"SIDE": tuning.side, "HAS_REGION": True, "BLOCK": 128}
     return [
         compiled(projection.project, capability, **few),
-        compiled(projection.list_pairs, capability, **few),
+        compiled(projection.cover, capability, **few),
+        compiled(projection.list_pairs, capability, SHAPED=False, **few),
+        _of_ellipsoids(compiled(projection.list_pairs, capability, SHAPED=True, **few)),
+        *_of_tiles(capability, channels, tuning, shaped=False),
+        *_of_tiles(capability, channels, tuning, shaped=True),
+        compiled(reduction.finish, capability, 2, SIDE=tuning.side, COLOURS=True, BLOCK=64),
+        compiled(reduction.add_rows, capability, BLOCK=16, BLOCK_C=64),
+        compiled(accumulation.accumulate, capability, 2, BLOCK=64),
+    ]
+
+
+def _of_tiles(capability: int, channels: int, tuning: Tuning, *, shaped: bool) -> list[Compiled]:
+    """The kernels that process tiles, of spheres or of ellipsoids."""
+    side, batch = tuning.side, tuning.batch
+    block = block_of(channels, tuning.channels_forward)
+    tile = {"SIDE": side, "BATCH": batch, "PRECISION": tuning.precision, "SHAPED": shaped}
+    widest = tuning.channels_backward if channels else 0
+    pair = [
         compiled(
             compositing.composite,
             capability,
@@ -126,7 +139,9 @@ def every_kernel(capability: int, channels: int, tuning: Tuning) -> list[Compile
             MOVE=channels > 0,
             **tile,
         ),
-        compiled(reduction.finish, capability, 2, SIDE=side, COLOURS=True, BLOCK=64),
-        compiled(reduction.add_rows, capability, BLOCK=16, BLOCK_C=64),
-        compiled(accumulation.accumulate, capability, 2, BLOCK=64),
     ]
+    return [_of_ellipsoids(kernel) for kernel in pair] if shaped else pair
+
+
+def _of_ellipsoids(kernel: Compiled) -> Compiled:
+    return replace(kernel, name=f"{kernel.name}, ellipsoids")

@@ -16,15 +16,17 @@ from benchmarks.gpu_scene import (
     camera_of,
     surface_cloud,
     touched_pixels,
+    with_ellipsoids,
 )
 from toolkit.errors import DependencyError
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import NEAR_M
 from toolkit.rendering import backend
 from toolkit.rendering.backend import Backend, ForwardPass
-from toolkit.rendering.cuda.backend import CudaRenderer, Tuning
+from toolkit.rendering.cuda.backend import CudaRenderer
+from toolkit.rendering.cuda.tuning import Tuning
 from toolkit.rendering.gsplat import GsplatBackend, load_gsplat
 from toolkit.rendering.reference import ReferenceBackend
 
@@ -62,26 +64,28 @@ def check(plan: Plan) -> bool:
     contestants: dict[str, Backend] = {"ours": backend("cuda")}
     if gsplat() is not None:
         contestants["gsplat"] = GsplatBackend(gsplat())
-    columns = ("channels", "backend", "images", "gradients", "pose gradient", "bound", "")
+    columns = ("channels", "shape", "backend", "images", "gradients", "pose gradient", "bound", "")
     table("Errors against float64", *columns)
     passed = True
     for channels in plan.channels:
         camera = camera_of(64, 40) if plan.timed else camera_of(20, 16)
         count = 4000 if plan.timed else 120
-        cloud = surface_cloud(camera, count, channels - 4, seed=channels)
-        exact = GaussianCloud(*(getattr(cloud, f).double() for f in PARAMETERS))
+        spheres = surface_cloud(camera, count, channels - 4, seed=channels)
         generator = torch.Generator().manual_seed(channels)
         weights = torch.randn(channels + 1, camera.height, camera.width, generator=generator)
-        expected = _drawn(ReferenceBackend(), exact, camera, weights.double())
         # Eleven bits a factor in tf32, and alphas at the cut that fall either way.
         bound = 1e-2 if plan.timed else 2e-3
-        for name, contestant in contestants.items():
-            actual = _drawn(contestant, cloud.to(plan.device), camera, weights.to(plan.device))
-            errors = [error_of(a, b) for a, b in zip(actual, expected, strict=True)]
-            # Written so that NaN does not pass: the memory was full of it.
-            good = name != "ours" or all(error <= bound for error in errors)
-            passed &= good
-            row(channels, name, *errors, bound, "" if name != "ours" else "ok" if good else "WRONG")
+        for shape, cloud in (("spheres", spheres), ("ellipsoids", with_ellipsoids(spheres))):
+            exact = cloud.mapped(torch.Tensor.double)
+            expected = _drawn(ReferenceBackend(), exact, camera, weights.double())
+            for name, contestant in contestants.items():
+                actual = _drawn(contestant, cloud.to(plan.device), camera, weights.to(plan.device))
+                errors = [error_of(a, b) for a, b in zip(actual, expected, strict=True)]
+                # Written so that NaN does not pass: the memory was full of it.
+                good = name != "ours" or all(error <= bound for error in errors)
+                passed &= good
+                verdict = "" if name != "ours" else "ok" if good else "WRONG"
+                row(channels, shape, name, *errors, bound, verdict)
     return passed
 
 
@@ -92,10 +96,9 @@ def _drawn(
     pose = se3.exp(np.array([0.01, -0.02, 0.015, 0.01, -0.02, 0.01]))
     drawn = contestant.forward(cloud, camera, pose, cloud.features, None)
     found = drawn.backward(weights)
-    assert found.colours is not None
-    dense = torch.zeros(len(cloud), 8 + cloud.features.shape[1], dtype=torch.float64)
-    columns = [found.means, found.log_radii[:, None], found.opacity_logits[:, None]]
-    dense[found.ids.cpu()] = torch.cat([*columns, found.colours, found.features], 1).double().cpu()
+    gradients = torch.cat([g[:, None].flatten(1) for g in found.by_name().values()], dim=1)
+    dense = torch.zeros(len(cloud), gradients.shape[1], dtype=torch.float64)
+    dense[found.ids.cpu()] = gradients.double().cpu()
     return drawn.images.double().cpu(), dense, found.T_camera_map.cpu()
 
 
@@ -249,6 +252,20 @@ def render_table(plan: Plan) -> None:
                 for step in steps.values():
                     step()
                 row(count, size, channels, *[UNTIMED] * len(names), "-", "-")
+
+
+def ellipsoids_table(plan: Plan) -> None:
+    """Forward and backward of ours: discs, filtered and with harmonics, beside the spheres."""
+    ways = [f"{shape} {way}" for shape in ("spheres", "ellipsoids") for way in ("fwd", "bwd")]
+    table("Milliseconds a view of ellipsoids", "Gaussians", "channels", *ways)
+    camera, channels = camera_of(*plan.size), plan.channels[0]
+    for count in plan.counts:
+        spheres = surface_cloud(camera, count, channels - 4)
+        times: list[object] = []
+        for cloud in (spheres, with_ellipsoids(spheres)):
+            contest = OurContest(backend("cuda"), cloud.to(plan.device), camera)
+            times += _times(_steps(contest), plan)
+        row(count, channels, *times)
 
 
 def tunings_table(plan: Plan) -> None:

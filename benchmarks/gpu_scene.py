@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
+from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
@@ -53,6 +56,18 @@ def surface_cloud(
         _tensor(colours.clip(0.02, 0.98)),
         torch.randn(count, features, generator=torch.Generator().manual_seed(seed)),
     )
+
+
+def with_ellipsoids(cloud: GaussianCloud, seed: int = 0) -> GaussianCloud:
+    """The same Gaussians as turned discs, filtered, with colours that depend on the view."""
+    generator = torch.Generator().manual_seed(seed)
+    count = len(cloud)
+    shapes = Ellipsoids(
+        cloud.log_radii[:, None] + torch.tensor([0.5, 0.0, -1.5]),
+        torch.randn(count, 4, generator=generator),
+        0.05 * torch.randn(count, HARMONIC_COUNTS[1], 3, generator=generator),
+    )
+    return replace(cloud, ellipsoids=shapes, low_pass=PIXEL_FILTER)
 
 
 def _tensor(array: NDArray) -> torch.Tensor:

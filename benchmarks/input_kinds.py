@@ -151,7 +151,7 @@ def _every_third(folder: Path) -> None:
 
 def _as_foreign_splats(folder: Path) -> None:
     shutil.rmtree(folder / "rgb")
-    (folder / "map.ksplat").write_bytes(b"\0" * 4096)
+    (folder / "map.lcc").write_bytes(b"\0" * 4096)
 
 
 def _missing_at_random(share: float) -> RoomChange:
@@ -251,6 +251,6 @@ KINDS: Mapping[str, Kind] = {
     "a splat file of another format": Kind(
         "stops, names the formats",
         after=_as_foreign_splats,
-        job=("render", "FOLDER/map.ksplat"),
+        job=("render", "FOLDER/map.lcc"),
     ),
 }

@@ -21,6 +21,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "room-noise": ("--sensor-noise",),
     "room-walker": ("--walker",),
     "room-real": ("--real",),
+    "room-small": ("--frames", "200", *_SMALL),
+    "room-glossy": ("--frames", "200", *_SMALL, "--glossy"),
     "room-weak": ("--texture", "weak"),
     "room-narrow": ("--fov-deg", "30"),
     "ring": (*_RING, "--sensor-noise"),

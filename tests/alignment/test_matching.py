@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from registered_room import Scene, error, motion, seen_by
 
 from toolkit.alignment import matching
-from toolkit.alignment.matching import Matched, match_features, measure_offset, rigid_fits
+from toolkit.alignment.matching import (
+    Matched,
+    match_features,
+    measure_offset,
+    rigid_fits,
+    similarity_fits,
+)
 from toolkit.datasets.registry import open_dataset
 from toolkit.features.keypoints import Keypoints
 from toolkit.geometry import se3
@@ -171,3 +177,14 @@ def test_keypoints_of_the_keyframes_used_last_are_kept(monkeypatch):
     for n in (0, 1, 0, 2, 0, 1):
         np.testing.assert_array_equal(cache(keyframes[n]).px, detect(keyframes[n]).px)
     assert detected == [0, 1, 2, 1]
+
+
+@few
+@given(seeds, st.floats(0.01, 100.0))
+def test_similarities_are_recovered(seed: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    T, second = se3.exp(rng.normal(size=6)), rng.normal(size=(4, 5, 3))
+    fits = similarity_fits(scale * second @ T[:3, :3].T + T[:3, 3], second)
+    for fit in fits:
+        np.testing.assert_allclose(fit[:3, :3], scale * T[:3, :3], atol=1e-9 * scale)
+        np.testing.assert_allclose(fit[:3, 3], T[:3, 3], atol=1e-9 * max(scale, 1.0))

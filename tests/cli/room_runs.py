@@ -45,7 +45,17 @@ def walk(recording: Path, out: Path, *more: str) -> list[str]:
 
 def make_room_runs(folder: Path) -> RoomRuns:
     """Both runs; a few seconds."""
-    frames, truth = tiny_room(14, 96, 72)
+    recordings, T_a_b = make_recordings(folder, 96, 72)
+    for name, recording in zip("ab", recordings, strict=True):
+        assert main(walk(recording, folder / name)) == 0
+    return RoomRuns(folder / "a", folder / "b", recordings, T_a_b)
+
+
+def make_recordings(
+    folder: Path, width: int, height: int
+) -> tuple[tuple[Path, Path], NDArray[np.float64]]:
+    """Recordings from either end of one path, and the motion T_a_b [4, 4] between their worlds."""
+    frames, truth = tiny_room(14, width, height)
     poses = truth.T_world_camera
     ways = {"a": list(range(9)), "b": list(range(13, 4, -1))}
     for name, way in ways.items():
@@ -53,7 +63,5 @@ def make_room_runs(folder: Path) -> RoomRuns:
         prepare_folder(recording)
         own = [replace(frames[i], index=k, timestamp_s=k / 30) for k, i in enumerate(way)]
         write_sequence(recording, own, frames[0].camera, poses[way])
-        assert main(walk(recording, folder / name)) == 0
     T_a_b = se3.inverse(poses[ways["a"][0]]) @ poses[ways["b"][0]]
-    recordings = (folder / "room_a", folder / "room_b")
-    return RoomRuns(folder / "a", folder / "b", recordings, T_a_b)
+    return (folder / "room_a", folder / "room_b"), T_a_b

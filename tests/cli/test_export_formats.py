@@ -26,6 +26,8 @@ from toolkit.io.splats import read_splats, write_splat_ply
 from toolkit.io.trajectories import read_tum
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.viewer.options import ShownContent
+from toolkit.viewer.reading import read_scene
 
 UTM = np.array([388096.0, 3948996.0, 57.0])
 MESH = ["--every", "1", "--voxel-m", "0.04"]
@@ -105,6 +107,14 @@ def test_gltf_and_las_contain_the_origin(labelled_run, tmp_path):
     las = laspy.read(export(run, tmp_path / "room.las"))
     means = read_splats(labelled_run / "map.ply").means
     np.testing.assert_allclose(las.xyz - UTM, means, atol=1.1e-4)
+
+
+def test_labels_beside_a_sog_are_those_of_the_selected_gaussians(labelled_run, tmp_path):
+    path = export(labelled_run, tmp_path / "chairs.sog", "--keep", "chair")
+    scene = read_scene(path, ShownContent())
+    chairs = read_splats(labelled_run / "map.ply").labels.label == IDS["chair"]
+    assert scene.total == chairs.sum()
+    assert {scene.class_path(k)[-1] for k in range(len(scene.splats))} == {"chair"}
 
 
 def centroids(rgb: np.ndarray) -> np.ndarray:

@@ -90,7 +90,7 @@ def test_a_bare_splat_file_is_shown_whole(run, tmp_path):
         (["render", "RUN", "--trajectory", "RUN/nothing.txt"], "nothing.txt"),
         (["render", "RUN/map.ply", "--camera", "0", "1", "1", "1"], "fx, fy > 0"),
         (["render", "RUN", "--out", "RUN/map.ply"], "map.ply"),
-        (["export", "RUN", "--to", "RUN/map.obj"], ".ply or .splat or .spz"),
+        (["export", "RUN", "--to", "RUN/map.obj"], ".ply or .splat or .spz or .sog"),
         (["export", "RUN", "--to", "RUN/no/map.ply"], "RUN/no"),
         (["export", "RUN", "--to", "RUN/a.ply", "--mesh", "--points"], "not both"),
         (["export", "RUN", "--to", "RUN/a.mesh.ply", "--voxel-m", "0"], "--voxel-m"),
@@ -122,7 +122,7 @@ def test_evaluate_takes_the_new_path_of_a_moved_dataset(run, capsys, recording):
     assert main(["evaluate", str(run), "--dataset.path", str(recording)]) == 0
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz", ".sog", ".compressed.ply"])
 def test_export_writes_splats(run, tmp_path, suffix):
     file = tmp_path / f"map{suffix}"
     assert main(["export", str(run), "--to", str(file)]) == 0

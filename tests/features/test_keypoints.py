@@ -10,6 +10,7 @@ from toolkit.features.keypoints import (
     detect_keypoints,
     match_keypoints,
     similarity_votes,
+    votes_for,
 )
 
 
@@ -60,6 +61,15 @@ def test_the_same_place_gets_the_most_votes():
     assert votes[3].argmax() == 1
     assert votes[3, 1] > 5 * max(votes[3, 0], votes[3, 2], 1)
     assert not votes[np.triu_indices(4)].any()
+
+
+def test_votes_for_one_image_are_those_of_all_pairs():
+    images = [scene(seed) for seed in range(3)]
+    found = [detect_keypoints(image, 200) for image in [*images, shifted(scene(1), 4, 3)]]
+    votes = votes_for(found[:3], found[3])
+    np.testing.assert_array_equal(votes, similarity_votes(found)[3, :3])
+    assert votes.argmax() == 1
+    assert votes_for([], found[0]).shape == (0,)
 
 
 def test_votes_skip_images_without_keypoints():

@@ -9,7 +9,7 @@ import torch
 from toolkit.errors import FormatError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io.splat_labels import SplatLabels
-from toolkit.io.splats import export_splats, read_splats, write_splat_ply
+from toolkit.io.splats import read_splats, write_splat_ply
 
 N = 40
 
@@ -64,14 +64,6 @@ def test_labels_do_not_change_the_properties_for_viewers(tmp_path, cloud, labels
     one, other = (read_splats(tmp_path / name) for name in ("with.ply", "without.ply"))
     np.testing.assert_array_equal(one.means, other.means)
     np.testing.assert_array_equal(one.log_radii, other.log_radii)
-
-
-def test_only_ply_files_store_labels(tmp_path, cloud, labels):
-    for suffix in (".ply", ".splat", ".spz"):
-        export_splats(tmp_path / f"map{suffix}", cloud, labels.columns())
-    assert read_splats(tmp_path / "map.ply").labels is not None
-    assert read_splats(tmp_path / "map.splat").labels is None
-    assert read_splats(tmp_path / "map.spz").labels is None
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,14 @@ def test_a_hole_beside_a_depth_edge_belongs_to_the_far_surface():
     assert inferred_depth(depth_m)[20, 78:86].min() > 2.5
 
 
+def test_a_hole_inside_a_surface_ignores_a_far_one_that_does_not_touch_it():
+    """As of a dark screen on a wall with an open door, or beside a mirror."""
+    depth_m = np.full((60, 160), 2.0, np.float32)
+    depth_m[:, 10:45] = 6.0
+    depth_m[15:45, 60:120] = 0.0
+    np.testing.assert_allclose(inferred_depth(depth_m)[15:45, 60:120], 2.0, rtol=0.1)
+
+
 def test_refinement_fills_a_hole_that_no_keyframe_measured(room: MappedRoom):
     frame, pose = without_depth(room.frames[0]), room.T_map_camera[:1]
     empty = mapped([frame], pose, replace(OPTIONS, fill_holes=False))

@@ -10,12 +10,10 @@ import torch
 from mapped_room import depth_error_m, fed, psnr_db
 from mapped_submap import MappedSubmap
 
-from toolkit.errors import SettingsError
 from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.merging import PATCH_PX, to_ellipsoids
 from toolkit.mapping.options import MapperOptions
 from toolkit.submaps.submap import Submap
@@ -74,19 +72,29 @@ def test_a_patch_of_a_wall_becomes_one_flat_ellipsoid() -> None:
     assert len(submap.optimiser.steps) == 1
 
 
-@pytest.mark.parametrize("kind", ["colours", "classes", "places"])
+@pytest.mark.parametrize("kind", ["colours", "places"])
 def test_what_differs_stays_apart(kind: str) -> None:
-    means, colours, classes = patch(), grey(200), torch.zeros(200, dtype=torch.int64)
+    means, colours = patch(), grey(200)
     half = torch.arange(200) % 2 == 0
     if kind == "colours":
         colours[half] = 0.2
-    elif kind == "classes":
-        classes[half] = 4
     else:
         means[half, 0] += _SIDE_M
     submap = submap_of(means, colours)
-    to_ellipsoids(submap, classes, degree=0)
+    to_ellipsoids(submap, torch.zeros(200, dtype=torch.int64), degree=0)
     assert len(submap.gaussians) == 2
+
+
+def test_patches_across_a_border_of_classes_are_halved() -> None:
+    beside = patch(seed=1) + torch.tensor([_SIDE_M, 0.0, 0.0])
+    means = torch.cat([patch(), beside])
+    classes = torch.full((400,), 4)
+    classes[:200][means[:200, 0] < _SIDE_M / 2] = 0
+    submap = submap_of(means, grey(400))
+    to_ellipsoids(submap, classes, degree=0)
+    x_m = submap.gaussians.means[:, 0]
+    assert int((x_m > _SIDE_M).sum()) == 1, "no border"
+    assert int((x_m < _SIDE_M).sum()) == 4, "two for each class"
 
 
 def test_a_single_sphere_stays_a_sphere() -> None:
@@ -146,9 +154,3 @@ def test_spheres_can_be_added_to_ellipsoids(room) -> None:
     assert len(submap.gaussians.ellipsoids) == before + 5
     submap.remove(torch.arange(before + 5) < before)
     assert len(submap.gaussians) == 5
-
-
-@pytest.mark.parametrize(("backend", "device"), [("auto", "cuda"), ("cuda", "cpu")])
-def test_a_gpu_refuses_ellipsoids_before_the_first_frame(backend: str, device: str) -> None:
-    with pytest.raises(SettingsError, match="use --device cpu, or spheres"):
-        Mapper(MapperOptions(final_shape="ellipsoids"), None, backend, device=device)

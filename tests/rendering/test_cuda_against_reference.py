@@ -1,23 +1,21 @@
-"""The Triton kernels against the reference, in value and in gradient.
+"""The Triton kernels against the reference, in value and in gradient: spheres.
 
-On a GPU where there is one, else through Triton's interpreter (see tests/conftest.py), which
-runs the same source in Python: slow, so scenes are small.
+test_cuda_ellipsoids.py has the tests of ellipsoids.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from cuda_backend import DEVICE, FLOAT32, Cuda, assert_agrees
 from splat_scenes import (
     Scene,
     assert_identical,
     assert_same_gradients,
     assert_same_images,
-    ellipsoid_scene,
     exact,
     gradients_of,
     largest_value,
@@ -28,72 +26,12 @@ from splat_scenes import (
 )
 from torch import Tensor
 
-from toolkit.errors import DependencyError
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, PARAMETERS, GaussianCloud
 from toolkit.native.constants import MIN_TRANSMITTANCE
-from toolkit.rendering import GaussianGradients, backend
-from toolkit.rendering.backend import ForwardPass
+from toolkit.rendering import backend
+from toolkit.rendering.cuda.tuning import Tuning
 from toolkit.rendering.reference import ReferenceBackend
 
-pytest.importorskip("triton", reason="triton is not installed")
-
-from toolkit.rendering.cuda.backend import CudaRenderer, Tuning, interpreted
-
-DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
-pytestmark = pytest.mark.skipif(
-    DEVICE == "cpu" and not interpreted(), reason="no GPU, and triton was imported to compile"
-)
-FLOAT32 = Tuning(precision="tf32x3")
-
-
-@pytest.fixture(autouse=True)
-def poisoned_memory() -> Iterator[None]:
-    """Fill new memory with NaN and maximum integers to detect elements that are not written."""
-    torch.set_deterministic_debug_mode("warn")
-    assert torch.empty(1).isnan()
-    yield
-    torch.set_deterministic_debug_mode("default")
-
-
-@dataclass
-class OnDevice:
-    """A view rendered on the GPU and copied to the CPU for comparison."""
-
-    drawn: ForwardPass
-
-    @property
-    def images(self) -> Tensor:
-        return self.drawn.images.cpu()
-
-    def backward(self, image_gradients: Tensor, **options: bool) -> GaussianGradients:
-        found = self.drawn.backward(image_gradients.to(DEVICE), **options)
-        moved = {f.name: getattr(found, f.name) for f in fields(found)}
-        return GaussianGradients(**{k: None if v is None else v.cpu() for k, v in moved.items()})
-
-
-class Cuda:
-    """The backend with transfers from and to the CPU."""
-
-    name = "cuda"
-
-    def __init__(self, tuning: Tuning = FLOAT32) -> None:
-        self._backend = CudaRenderer(tuning)
-
-    def forward(self, gaussians, camera, T_camera_map, features, region, centres=False):
-        cloud = GaussianCloud(*(getattr(gaussians, f).to(DEVICE) for f in PARAMETERS))
-        features = None if features is None else features.to(DEVICE)
-        return OnDevice(
-            self._backend.forward(cloud, camera, T_camera_map, features, region, centres)
-        )
-
-
-def assert_agrees(scene: Scene, tuning: Tuning = FLOAT32, tolerance: float = 2e-4) -> None:
-    """Assert that images and gradients of a random loss equal the float64 reference."""
-    drawn = scene.forward(Cuda(tuning))
-    assert_same_images(drawn.images, scene, reference_images(scene))
-    weights = scene.loss_weights()
-    expected = gradients_of(exact(scene), ReferenceBackend(), weights)
-    assert_same_gradients(gradients_of(scene, Cuda(tuning), weights), expected, tolerance)
+pytestmark = pytest.mark.usefixtures("poisoned_memory")
 
 
 def same(a: Tensor, b: Tensor) -> bool:
@@ -289,9 +227,3 @@ def test_image_gradients_of_wrong_shape_raise() -> None:
 
 def test_backend_is_selected_by_name() -> None:
     assert backend("cuda").name == "cuda"
-
-
-def test_ellipsoids_are_refused() -> None:
-    scene = ellipsoid_scene(0, LOW_PASS_3DGS)
-    with pytest.raises(DependencyError, match="native"):
-        scene.draw(CudaRenderer())

@@ -116,6 +116,8 @@ def test_a_small_map_is_refined_and_continued(runs, room, tmp_path):
     )
     place = load_run(run_folder).settings.dataset.path
     run(settings(place, map=str(run_folder)), tmp_path / "continued")
+    stored = [load_run(path).submaps[0] for path in (run_folder, tmp_path / "continued")]
+    np.testing.assert_allclose(stored[1].gaussians.means, stored[0].gaussians.means, atol=1e-6)
     after = json.loads((tmp_path / "continued" / "metrics.json").read_text())
     assert after["frames"]["lost"] == 0
     assert after["images"]["mapped"]["psnr_db"] > before["images"]["mapped"]["psnr_db"] - 1.0

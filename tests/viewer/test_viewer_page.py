@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from browser_pages import WatchedPage, chromium, mean_colour
 from painted_scenes import two_panels
 
 from toolkit.cli.main import main
+from toolkit.gaussians.ellipsoids import harmonic_basis
 from toolkit.io.splat_shapes import relative_covariances
 from toolkit.viewer.html import link_from_report, write_page
-from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ViewerScene
+from toolkit.viewer.scene import HARMONIC_STEPS, ShownKeyframe, ShownSplats, ViewerScene
 
 # Pixels on the table and on the wall, in the first view.
 TABLE, WALL = (350, 280), (570, 280)
@@ -226,3 +228,35 @@ def test_a_page_elsewhere_is_not_linked(tiny_run, tmp_path):
     before = (tiny_run / "report.html").read_bytes()
     assert not link_from_report(tmp_path / "viewer.html", tiny_run / "report.html")
     assert (tiny_run / "report.html").read_bytes() == before
+
+
+def test_colours_depend_on_the_view(browser, tmp_path):
+    """One sphere with harmonics of each degree, seen from two sides."""
+    rng = np.random.default_rng(0)
+    for count in (3, 8, 15):
+        harmonics = rng.integers(-40, 40, (1, count, 3)).astype(np.int8)
+        splats = ShownSplats(
+            means_m=np.array([[0.0, 0.0, 3.0]], np.float32),
+            sigmas_m=np.full(1, 0.2, np.float32),
+            opacities=np.ones(1, np.float32),
+            rgb=np.full((1, 3), 128, np.uint8),
+            harmonics=harmonics,
+        )
+        file = tmp_path / f"{count}.html"
+        keyframe = ShownKeyframe(0, np.eye(4))
+        write_page(file, ViewerScene("one", splats, 1, keyframes=(keyframe,)))
+        watched = WatchedPage(browser, evaluate=True)
+        watched.page.goto(file.as_uri())
+        drawn(watched)
+        for yaw in (0.0, 1.1):
+            watched.page.evaluate(
+                f"Object.assign(semsplatViewer.camera, {{ target: [0, 0, 3], distance: 2, "
+                f"yaw: {yaw}, pitch: -0.4 }}); semsplatViewer.moved()"
+            )
+            forward = torch.tensor(watched.page.evaluate("semsplatViewer.camera.forward"))
+            basis = harmonic_basis(forward[None].double(), count).numpy()[0]
+            expected = 128 + 255 * basis @ harmonics[0] / HARMONIC_STEPS
+            middle = mean_colour(settled(watched), 450, 250, half=1)
+            assert middle == pytest.approx(expected.clip(0, 255), abs=4), (count, yaw)
+        assert watched.errors == []
+        watched.page.close()

@@ -13,7 +13,8 @@ from painted_scenes import CAMERA, node, tree, two_panels
 
 from toolkit.errors import ToolkitError
 from toolkit.exposure import IDENTITY
-from toolkit.io.splat_shapes import relative_covariances
+from toolkit.gaussians.ellipsoids import Ellipsoids
+from toolkit.io.splat_shapes import SplatShapes, relative_covariances
 from toolkit.keyframe import Keyframe
 from toolkit.viewer.colouring import (
     CLASSES,
@@ -30,7 +31,16 @@ from toolkit.viewer.options import ShownContent
 from toolkit.viewer.packing import pack
 from toolkit.viewer.picking import pick
 from toolkit.viewer.reading import read_scene
-from toolkit.viewer.scene import DOUBTFUL, INTERRUPTED, PATH_RGB, ShownSplats, path_states
+from toolkit.viewer.scene import (
+    DOUBTFUL,
+    HARMONIC_STEPS,
+    INTERRUPTED,
+    PATH_RGB,
+    ShownSplats,
+    ViewerScene,
+    path_states,
+)
+from toolkit.viewer.shapes import shape_columns
 from toolkit.viewer.thinning import thin
 
 
@@ -162,6 +172,18 @@ def test_the_binary_form_keeps_positions_sizes_and_nodes():
     assert sigmas_m == pytest.approx(scene.splats.sigmas_m, rel=0.05)
 
 
+def test_positions_far_from_each_other_are_not_rounded():
+    splats = two_panels(40).splats
+    wide = splats.means_m.copy()
+    wide[0] = (1e6, 0.0, 0.0)
+    packed = pack(ViewerScene("wide", replace(splats, means_m=wide), 40))
+    place = packed.header["arrays"]["means"]
+    means_m = np.frombuffer(
+        bytes(packed.data), place["type"], place["length"], place["offset"]
+    ).reshape(-1, 3)
+    assert (means_m == wide).all()
+
+
 def test_inferred_gaussians_are_those_that_no_keyframe_measured():
     """In the first keyframe, the depth of the left half follows from a prior."""
     splats = replace(two_panels().splats, submap=None, inferred=None)
@@ -197,6 +219,18 @@ def test_shapes_of_anisotropic_splats():
     upright = relative_covariances(scales_m, np.array([[2.0, 0.0, 0.0, 0.0]]))
     assert upright[0] == pytest.approx([4.0, 0.0, 0.0, 1.0, 0.0, 0.25])
     assert turned[0] == pytest.approx([1.0, 0.0, 0.0, 4.0, 0.0, 0.25], abs=1e-6)
+
+
+def test_ellipsoids_of_clouds_and_of_files_have_the_same_columns():
+    rng = np.random.default_rng(0)
+    arrays = [rng.normal(size=shape).astype(np.float32) for shape in ((5, 3), (5, 4), (5, 3, 3))]
+    of_file = shape_columns(SplatShapes(*arrays))
+    of_cloud = shape_columns(Ellipsoids(*map(torch.from_numpy, arrays)))
+    for name in ("shapes", "harmonics"):
+        assert (of_file[name] == of_cloud[name]).all()
+    assert of_file["harmonics"] == pytest.approx(arrays[2].clip(-1, 1) * HARMONIC_STEPS, abs=0.51)
+    none = SplatShapes(arrays[0], arrays[1], np.zeros((5, 3, 3), np.float32))
+    assert "harmonics" not in shape_columns(none) and shape_columns(None) == {}
 
 
 def test_ways_to_and_from_doubtful_frames_and_over_missing_ones_are_marked():

@@ -229,20 +229,30 @@ class Matched:
     camera: Camera
     pixel_size: float = 1.0
 
-    def motion(self, generator: np.random.Generator, min_matches: int) -> tuple[Array, int] | None:
-        """The motion with the most inliers, and their number; None below `min_matches`."""
+    def motion(
+        self,
+        generator: np.random.Generator,
+        min_matches: int,
+        fits: Callable[[Array, Array], Array] | None = None,
+    ) -> tuple[Array, int] | None:
+        """The motion with the most inliers, and their number; None below `min_matches`.
+
+        Args:
+            fits: fits motions [H, 4, 4] to points; by default `rigid_fits`.
+        """
+        fits = fits or rigid_fits
         n = len(self.first)
         if n < min_matches:
             return None
         triples = np.argsort(generator.random((HYPOTHESES, n)), axis=1)[:, :3]
-        motions = rigid_fits(self.first[triples], self.second[triples])
+        motions = fits(self.first[triples], self.second[triples])
         inliers = self.inliers(motions)
         best = inliers[int(np.argmax(inliers.sum(axis=1)))]
         T = np.eye(4)
         for _ in range(3):
             if best.sum() < min_matches:
                 return None
-            T = rigid_fits(self.first[best][None], self.second[best][None])[0]
+            T = fits(self.first[best][None], self.second[best][None])[0]
             best = self.inliers(T[None])[0]
         count = int(best.sum())
         return (T, count) if count >= min_matches else None
@@ -268,5 +278,18 @@ def rigid_fits(first: Array, second: Array) -> Array:
     U[:, :, 2] *= flip[:, None]  # no reflections
     T = np.tile(np.eye(4), (len(first), 1, 1))
     T[:, :3, :3] = U @ Vt
+    T[:, :3, 3] = centre_a - np.einsum("hij,hj->hi", T[:, :3, :3], centre_b)
+    return T
+
+
+def similarity_fits(first: Array, second: Array) -> Array:
+    """As `rigid_fits`, with a scale in the left 3x3 block (Horn 1987)."""
+    T = rigid_fits(first, second)
+    centre_a, centre_b = first.mean(axis=1), second.mean(axis=1)
+    size_a, size_b = (
+        np.linalg.norm(points - centre[:, None], axis=(1, 2))
+        for points, centre in ((first, centre_a), (second, centre_b))
+    )
+    T[:, :3, :3] *= (size_a / np.maximum(size_b, 1e-12))[:, None, None]
     T[:, :3, 3] = centre_a - np.einsum("hij,hj->hi", T[:, :3, :3], centre_b)
     return T

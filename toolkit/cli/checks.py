@@ -65,7 +65,7 @@ def _check_export(options: ExportOptions) -> None:
     from toolkit.io.gltf import GLTF_SUFFIXES
     from toolkit.io.labelled_points import LABELLED_SUFFIXES
     from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES
-    from toolkit.io.splats import SUFFIXES
+    from toolkit.io.splats import WRITTEN_SUFFIXES
 
     if options.mesh + options.points + (options.format is not None) > 1:
         raise SettingsError("give --mesh or --points or --format, not both")
@@ -73,7 +73,7 @@ def _check_export(options: ExportOptions) -> None:
         _check_new_folder(options.to, "--to")
         return
     suffixes = {
-        "splats": SUFFIXES,
+        "splats": WRITTEN_SUFFIXES,
         "mesh": MESH_SUFFIXES,
         "points": POINT_SUFFIXES,
         "labelled-points": LABELLED_SUFFIXES,

@@ -44,6 +44,7 @@ _OPTIONAL = {
     "ray": ("ray", "many runs on a cluster"),
     "fsspec": ("fsspec", "maps in shared storage"),
     "trimesh": ("trimesh", "meshes in glTF"),
+    "pxr": ("usd-core", "splats in OpenUSD"),
     "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
     "fastapi": ("fastapi", "semsplat serve"),
     "uvicorn": ("uvicorn", "semsplat serve"),

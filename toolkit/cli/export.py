@@ -11,9 +11,10 @@ from toolkit.cli.map_programs import ExportOptions
 from toolkit.exports.floors import export_floor_plan, export_occupancy_grid
 from toolkit.exports.scene_graph import export_scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
-from toolkit.exports.surfaces import export_gltf, export_labelled_points
+from toolkit.exports.surfaces import export_gltf, export_labelled_points, export_scene_splats
 from toolkit.exports.views import ViewExportOptions, export_colmap, export_nerfstudio
 from toolkit.io.meshes import write_mesh
+from toolkit.io.splat_scenes import SCENE_SUFFIXES
 from toolkit.io.splats import export_splats
 from toolkit.io.trajectories import write_tum
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
@@ -42,19 +43,31 @@ def main(options: ExportOptions) -> int:
 
 
 def _splats(options: ExportOptions, selection: SelectedGaussians) -> str:
-    columns = None if selection.labels is None else selection.labels.columns()
-    comments = [*_left_origin(options, selection), *selection.run.length_names.notes]
-    export_splats(options.to, selection.gaussians, columns, comments, options.spz_version)
+    notes = selection.run.length_names.notes
+    if options.to.suffix in SCENE_SUFFIXES:
+        # The transformation of the scene contains the origin.
+        export_scene_splats(options.to, selection, [*_origin(selection), *notes], options.floor)
+    else:
+        columns = None if selection.labels is None else selection.labels.columns()
+        comments = [*_left_origin(options, selection), *notes]
+        version, tree = options.spz_version, selection.class_tree
+        export_splats(options.to, selection.gaussians, columns, comments, version, tree)
     return f"{len(selection.gaussians)} Gaussians"
+
+
+def _origin(selection: SelectedGaussians) -> list[str]:
+    """The origin of given poses as a comment; none if it is 0."""
+    if not selection.run.origin_m.any():
+        return []
+    return ["origin_m {:.3f} {:.3f} {:.3f}".format(*selection.run.origin_m)]
 
 
 def _left_origin(options: ExportOptions, selection: SelectedGaussians) -> list[str]:
     """The origin that a file in single precision cannot hold, as a comment; none if it is 0."""
-    if not selection.run.origin_m.any():
-        return []
-    origin = "origin_m {:.3f} {:.3f} {:.3f}".format(*selection.run.origin_m)
-    _log.warning("%s has single precision; add the %s to its positions", options.to, origin)
-    return [origin]
+    origin = _origin(selection)
+    if origin:
+        _log.warning("%s has single precision; add the %s to its positions", options.to, origin[0])
+    return origin
 
 
 def _points(options: ExportOptions, selection: SelectedGaussians) -> str:

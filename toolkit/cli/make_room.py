@@ -35,6 +35,7 @@ def main(options: MakeRoomOptions) -> int:
         texture=options.texture,
         fov_deg=options.fov_deg,
         classes=options.classes,
+        glossy=options.glossy,
     )
     make_room(options.out, settings, with_progress)
     if settings.collection is not None:

@@ -27,11 +27,13 @@ class ExportOptions:
     to: Path
     """File to write, or folder (new or empty) of COLMAP and nerfstudio formats."""
     format: ExportFormat | None = None
-    """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply, .splat,
-    .spz), mesh (.mesh.ply), points (.pcd), gltf (.glb, .gltf), labelled-points (.las, .laz),
+    """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply,
+    .compressed.ply, .splat, .spz, .sog, .splats.glb, .splats.gltf, .usda, .usdc, .usd, .usdz), mesh
+    (.mesh.ply), points (.pcd), gltf, a mesh (.glb, .gltf), labelled-points (.las, .laz),
     occupancy-grid (.yaml), trajectory (.txt, .tum) or viewer (.html)."""
-    spz_version: Literal[2, 4] = 4
-    """Version of .spz files; more viewers read version 2."""
+    spz_version: Literal[2, 3, 4] = 4
+    """Version of .spz files; more viewers read the versions 2 and 3, and version 2 has coarser
+    rotations."""
     mesh: bool = False
     """Short for --format mesh."""
     points: bool = False
@@ -69,6 +71,8 @@ class ExportOptions:
             return "mesh"
         if self.points:
             return "points"
+        if name.endswith((".splats.glb", ".splats.gltf")):
+            return "splats"
         return _FORMATS_BY_SUFFIX.get(self.to.suffix.lower(), "splats")
 
 
@@ -90,7 +94,7 @@ class ViewOptions:
     """Show a map in the browser, with cameras, classes, submaps and loops; Ctrl-C stops."""
 
     map: Positional[Path]
-    """Run folder, or a splat file (.ply, .splat, .spz)."""
+    """Run folder, or a splat file (.ply, .splat, .spz, .sog, .ksplat, glTF, USD)."""
     live: bool = False
     """Follow a run in progress."""
     host: str = "127.0.0.1"
@@ -100,6 +104,10 @@ class ViewOptions:
     """Port to listen on; 0 takes any free port."""
     highlight: tuple[str, ...] = ()
     """Classes and groups that are highlighted at the start."""
+    budget: PositiveInt = 1_000_000
+    """Maximum number of Gaussians that a browser draws at once of a map with more than
+    --viewer.max-gaussians, which is streamed in levels of detail. A browser needs about 0.3 kB of
+    memory for each."""
     viewer: ShownContent = ShownContent()
 
 

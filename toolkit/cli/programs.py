@@ -84,7 +84,7 @@ class RenderProgram:
     a video along a smooth path through them."""
 
     map: Positional[Path]
-    """Run folder, or a splat file (.ply, .splat, .spz)."""
+    """Run folder, or a splat file (.ply, .splat, .spz, .sog, .ksplat, glTF, USD)."""
     out: Path | None = None
     """Folder for the images. By default, RUN/renders/views, or FILE_views beside a splat file."""
     trajectory: Path | None = None
@@ -246,6 +246,11 @@ class MakeRoomOptions:
     shiny objects, at edges and grazing angles, and a walker."""
     walker: bool = False
     """Let a person walk through the view; masks are written to the folder walker."""
+    glossy: bool = False
+    """Let surfaces reflect the room: a lacquered floor, switched-off screens, and mirrors on a wall
+    and on the wardrobe. Depth is what a sensor measures: that of the mirror image on mirrors, and
+    none on screens at most angles; true depth is in the folder surface. Excludes --walker, --real
+    and --classes."""
     texture: Literal["normal", "weak"] = "normal"
     """Texture of all surfaces. Weak ones keep a tenth of their contrast, so that images show little
     but the edges and shadows of objects."""

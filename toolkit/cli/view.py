@@ -12,12 +12,14 @@ from toolkit.cli.map_programs import ViewOptions
 from toolkit.errors import SettingsError
 from toolkit.viewer.live import LiveRun
 from toolkit.viewer.reading import read_scene
-from toolkit.viewer.server import MapServer, start_viser, stop_viser
+from toolkit.viewer.scene import ViewerScene
+from toolkit.viewer.server import MapServer, free_port, start_viser, stop_viser
+from toolkit.viewer.stream_server import LOCAL, StreamServer
+from toolkit.viewer.streaming import StreamedMap
 
 _log = logging.getLogger(__name__)
 
 _NICENESS = 10
-_LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
 def main(options: ViewOptions) -> int:
@@ -32,31 +34,62 @@ def main(options: ViewOptions) -> int:
     if options.live:
         _yield_to_the_run()
     live = LiveRun(options.map, options.viewer) if options.live else None
-    scene = None if options.live else read_scene(options.map, options.viewer)
+    scene = None if options.live else read_scene(options.map, options.viewer, whole=True)
     text = ", ".join(options.highlight)
     if text and scene is not None and (scene.tree is None or not scene.tree.matching(text)):
         raise SettingsError(
             f"{options.map} has no class of --highlight {text}; list its classes with: "
             "semsplat query RUN --list"
         )
+    try:
+        if scene is not None and len(scene.splats) > options.viewer.max_gaussians:
+            return _stream(options, scene, text)
+        return _show(options, scene, live, text)
+    except KeyboardInterrupt:
+        return 0
+
+
+def _show(options: ViewOptions, scene: ViewerScene | None, live: LiveRun | None, text: str) -> int:
+    """Send a whole map, or a run in progress, to every browser."""
     server = start_viser(options.host, options.port)
     try:
-        if options.host not in _LOCAL:
-            _log.warning("Anyone who can connect to %s can see this map.", options.host)
         shown = MapServer(server, text)
-        # The address is the program's result; other programs read it.
-        print(f"http://{options.host}:{server.get_port()}", flush=True)
+        _announce(options, server.get_port())
         if scene is not None:
-            shown.show(scene)
+            shown.show(scene.thinned(options.viewer.max_gaussians))
             _log.info("Show %s. Ctrl-C stops.", scene)
         elif live is not None:
             shown.follow(live, time.sleep)
-        while True:
-            time.sleep(3600.0)
-    except KeyboardInterrupt:
-        return 0
+        _wait()
     finally:
         stop_viser(server)
+    return 0
+
+
+def _stream(options: ViewOptions, scene: ViewerScene, text: str) -> int:
+    """Let browsers load the levels of detail that they show."""
+    port = free_port(options.host, options.port)
+    _log.info("Build the levels of detail of %s.", scene)
+    server = StreamServer(StreamedMap.build(scene, options.budget, text), options.host, port)
+    try:
+        _announce(options, server.get_port())
+        _log.info("Stream %s. Ctrl-C stops.", scene)
+        _wait()
+    finally:
+        server.stop()
+    return 0
+
+
+def _announce(options: ViewOptions, port: int) -> None:
+    if options.host not in LOCAL:
+        _log.warning("Anyone who can connect to %s can see this map.", options.host)
+    # The address is the program's result; other programs read it.
+    print(f"http://{options.host}:{port}", flush=True)
+
+
+def _wait() -> None:
+    while True:
+        time.sleep(3600.0)
 
 
 def _yield_to_the_run() -> None:

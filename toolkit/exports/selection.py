@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -100,6 +101,12 @@ class SelectedGaussians:
         if self.labels is None:
             return {}
         return dict(enumerate(self._taxonomy().classes, start=1))
+
+    @property
+    def class_tree(self) -> dict[str, Any] | None:
+        """JSON values of the class tree; None if the run has no labels or no tree."""
+        has_tree = self.run.taxonomy is not None or self.run.folder.taxonomy.is_file()
+        return self._taxonomy().to_json() if has_tree and self.labels is not None else None
 
     def _taxonomy(self) -> Taxonomy:
         file = self.run.folder.taxonomy

@@ -1,4 +1,4 @@
-"""Export surfaces: meshes as glTF with a node per class, and labelled point clouds."""
+"""Export scenes: meshes with a node per class, splats as glTF or USD, labelled point clouds."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from toolkit.geometry import se3
 from toolkit.io.gltf import MeshPart, write_gltf
 from toolkit.io.labelled_points import LabelledPoints, write_labelled_points
 from toolkit.io.meshes import TriangleMesh
+from toolkit.io.splat_placement import SplatScene
+from toolkit.io.splats import export_splat_scene
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.taxonomy import VOID
@@ -50,10 +52,33 @@ def export_gltf(
     """
     fuse = part_mesh if selection.partial else surface_mesh
     mesh = fuse(selection.run, selection.gaussians, options)
-    T_gltf_map = gltf_from_map(ground_of(selection.run, floor)) @ selection.run.T_given_map
+    T_gltf_map = _T_scene_map(selection, floor)
     extras = {"T_gltf_map": T_gltf_map.tolist(), "metric": selection.run.metric}
     write_gltf(path, _parts(mesh, selection), T_gltf_map, extras)
     return mesh
+
+
+def export_scene_splats(
+    path: Path, selection: SelectedGaussians, comments: Sequence[str], floor: Sequence[str] = ()
+) -> None:
+    """Write the Gaussians as glTF or USD, placed like the mesh of `export_gltf`, with class names.
+
+    Raises:
+        ToolkitError: a package is missing, or the file cannot be written.
+    """
+    scene = SplatScene(
+        T_scene_map=_T_scene_map(selection, floor),
+        metric=selection.run.metric,
+        comments=tuple(comments),
+        classes=selection.classes,
+    )
+    columns = None if selection.labels is None else selection.labels.columns()
+    export_splat_scene(path, selection.gaussians, columns, scene)
+
+
+def _T_scene_map(selection: SelectedGaussians, floor: Sequence[str]) -> NDArray[np.float64]:
+    """The transformation [4, 4] from the map to the axes of glTF, with the run's origin."""
+    return gltf_from_map(ground_of(selection.run, floor)) @ selection.run.T_given_map
 
 
 def gltf_from_map(ground: Ground | None) -> NDArray[np.float64]:

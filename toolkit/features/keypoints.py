@@ -81,17 +81,36 @@ def similarity_votes(images: Sequence[Keypoints]) -> NDArray[np.int64]:
     """
     votes = np.zeros((len(images), len(images)), np.int64)
     strongest = [_strongest(image) for image in images]
-    ends = np.cumsum([len(descriptors) for descriptors in strongest])
-    stacked = np.concatenate([*strongest, np.zeros((0, _SIZE), np.float32)])
+    stacked, ends = _stacked(strongest)
     for row, own in enumerate(strongest):
-        if not len(own):
-            continue
-        cosines = own @ stacked[: ends[row] - len(own)].T
-        for column, cosine in enumerate(np.split(cosines, ends[:row], axis=1)[:row]):
-            if cosine.size:
-                forward, backward = cosine.argmax(1), cosine.argmax(0)
-                mutual = backward[forward] == np.arange(len(own))
-                votes[row, column] = (mutual & (cosine.max(1) > _MIN_COSINE)).sum()
+        votes[row, :row] = _votes(own, stacked, ends[:row])
+    return votes
+
+
+def votes_for(images: Sequence[Keypoints], image: Keypoints) -> NDArray[np.int64]:
+    """Numbers [N] of keypoints of each image that are similar to one of another image."""
+    return _votes(_strongest(image), *_stacked([_strongest(other) for other in images]))
+
+
+def _stacked(images: list[NDArray[np.float32]]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """The descriptors of all images, and the end of each image's [N]."""
+    ends = np.cumsum([len(descriptors) for descriptors in images], dtype=np.int64)
+    return np.concatenate([*images, np.zeros((0, _SIZE), np.float32)]), ends
+
+
+def _votes(
+    own: NDArray[np.float32], stacked: NDArray[np.float32], ends: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Numbers [N] of the mutually most similar descriptors of an image and of N others."""
+    votes = np.zeros(len(ends), np.int64)
+    if not len(own) or not len(ends):
+        return votes
+    cosines = own @ stacked[: ends[-1]].T
+    for column, cosine in enumerate(np.split(cosines, ends[:-1], axis=1)):
+        if cosine.size:
+            forward, backward = cosine.argmax(1), cosine.argmax(0)
+            mutual = backward[forward] == np.arange(len(own))
+            votes[column] = (mutual & (cosine.max(1) > _MIN_COSINE)).sum()
     return votes
 
 

@@ -5,7 +5,6 @@ Parameters, signs of the harmonics and order of the quaternion are those of 3DGS
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -13,6 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+
+from toolkit.geometry.harmonics import harmonic_rotation, harmonics
 
 # Numbers of coefficients per colour of the degrees 0 to 3, without the constant.
 HARMONIC_COUNTS = (0, 3, 8, 15)
@@ -69,11 +70,11 @@ class Ellipsoids:
         """Return the ellipsoids after a rotation [3, 3] of the map, with their view dependence."""
         w, x, y, z = quaternions(R[None])[0]
         product = ((w, -x, -y, -z), (x, w, -z, y), (y, z, w, -x), (z, -y, x, w))
-        turned = harmonic_rotation(R, self.harmonics.shape[1]).to(self.harmonics)
+        turned = torch.from_numpy(harmonic_rotation(R, self.harmonics.shape[1]))
         return Ellipsoids(
             self.log_scales,
             self.rotations @ self.rotations.new_tensor(product).T,
-            torch.einsum("jk,nkc->njc", turned, self.harmonics),
+            torch.einsum("jk,nkc->njc", turned.to(self.harmonics), self.harmonics),
         )
 
     def with_degree(self, degree: int) -> Ellipsoids:
@@ -135,37 +136,5 @@ def harmonic_basis(directions: Tensor, count: int) -> Tensor:
     Args:
         directions: [N, 3] from the camera to the Gaussians, of length 1.
     """
-    x, y, z = directions.unbind(1)
-    xx, yy, zz = x * x, y * y, z * z
-    values = [
-        *(-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x),
-        1.0925484305920792 * x * y,
-        -1.0925484305920792 * y * z,
-        0.31539156525252005 * (2.0 * zz - xx - yy),
-        -1.0925484305920792 * x * z,
-        0.5462742152960396 * (xx - yy),
-        -0.5900435899266435 * y * (3.0 * xx - yy),
-        2.890611442640554 * x * y * z,
-        -0.4570457994644658 * y * (4.0 * zz - xx - yy),
-        0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
-        -0.4570457994644658 * x * (4.0 * zz - xx - yy),
-        1.445305721320277 * z * (xx - yy),
-        -0.5900435899266435 * x * (xx - 3.0 * yy),
-    ]
+    values = harmonics(*directions.unbind(1))
     return torch.stack(values[:count], dim=1) if count else directions[:, :0]
-
-
-def harmonic_rotation(R: NDArray[np.float64], count: int) -> Tensor:
-    """The matrix [K, K] that rotates coefficients: the new function at R d is the old one at d."""
-    directions = torch.from_numpy(_directions())
-    turned = harmonic_basis(directions @ torch.as_tensor(R).T, count)
-    return torch.linalg.lstsq(turned, harmonic_basis(directions, count)).solution
-
-
-@functools.cache
-def _directions() -> NDArray[np.float64]:
-    """Directions [64, 3] spread over the sphere, which determine all coefficients."""
-    k = np.arange(64) + 0.5
-    angle, z = np.pi * (1.0 + 5.0**0.5) * k, 1.0 - k / 32.0
-    around = np.sqrt(1.0 - z * z)
-    return np.stack([around * np.cos(angle), around * np.sin(angle), z], axis=1)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from toolkit.errors import DependencyError, FormatError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.meshes import TriangleMesh
+from toolkit.io.splat_placement import linear_from_srgb
 
 GLTF_SUFFIXES = (".glb", ".gltf")
 
@@ -107,6 +108,5 @@ def _finish(tree: dict[str, Any], parts: Sequence[MeshPart]) -> None:
 
 def _linear_16_bit(colours: NDArray[np.floating]) -> NDArray[np.uint16]:
     """Return linear RGBA [N, 4] of sRGB colours [N, 3] in [0, 1]."""
-    values = np.clip(colours.astype(np.float64), 0.0, 1.0)
-    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    linear = linear_from_srgb(colours)
     return np.rint(65535.0 * np.pad(linear, ((0, 0), (0, 1)), constant_values=1.0)).astype("<u2")

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from toolkit.errors import RunFolderError
 from toolkit.io.atomic import replacing
-from toolkit.io.splats import PathLike, SplatLike, write_splat_ply
+from toolkit.io.splat_columns import SplatLike
+from toolkit.io.splats import PathLike, write_splat_ply
 
 _END = b"end_header\n"
 _ROWS = b"element vertex %d\n"

@@ -25,10 +25,6 @@ class SplatShapes:
     rotations: NDArray[np.float32]
     harmonics: NDArray[np.float32]
 
-    def relative_covariances(self) -> NDArray[np.float32]:
-        """Return covariances [N, 6]; see the function of this name."""
-        return relative_covariances(np.exp(self.log_scales), self.rotations)
-
     def with_reversed_axes(self) -> SplatShapes:
         """Return the shapes after a half turn about the x axis."""
         turn = np.array([1, 1, -1, -1], np.float32)

@@ -183,7 +183,7 @@ def _execute(
     with session.open():
         saved = open_saved_map(settings, replayed)
         if saved is not None:
-            load_saved_map(slam, saved)
+            load_saved_map(slam, saved, folder)
         _log.info(
             "Frames come from %s; the results depend on the speed of this machine and are not "
             "reproducible.",

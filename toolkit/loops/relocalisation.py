@@ -129,11 +129,16 @@ class Relocaliser:
             return None
         start = keyframe.T_map_camera @ offset.T_first_second
         result = tracker.locate(frame, submap.gaussians, start, search=False)
-        if result.health is not Health.GOOD or result.visible_fraction < self.options.min_visible:
-            return None
-        if result.intensity_residual > _MAX_INTENSITY_RESIDUAL:
-            return None
-        return Relocalisation(submap.number, result)
+        return Relocalisation(submap.number, result) if is_found(result, self.options) else None
+
+
+def is_found(result: TrackingResult, options: RelocalisationOptions) -> bool:
+    """Whether a frame was located so well that its pose needs no neighbouring frame."""
+    return (
+        result.health is Health.GOOD
+        and result.visible_fraction >= options.min_visible
+        and result.intensity_residual <= _MAX_INTENSITY_RESIDUAL
+    )
 
 
 def _distance_m(match: SimilarKeyframe, atlas: Atlas, last: LastPosition) -> float:

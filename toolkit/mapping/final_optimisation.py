@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from toolkit.geometry.open3d_bridge import open3d
+from toolkit.mapping.compared_views import ComparedViews
 from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
 from toolkit.submaps.submap import Submap
@@ -68,7 +69,7 @@ def refine(
     steps: Iterator[int] | None = None,
     merged: bool = False,
 ) -> None:
-    """Optimise a map over all keyframes, each equally often, in random order.
+    """Optimise a map over all keyframes and the views between them, equally often.
 
     Afterwards colours are fitted at the pixels, no longer at the centres of the Gaussians.
 
@@ -95,15 +96,17 @@ def refine(
         submap.gaussians = replace(submap.gaussians, centred_colours=False)
     if options.final_on_surfaces and rounds and submap.gaussians.ellipsoids is None:
         surfaces = Surfaces.of(submap.gaussians.means)
-    for done in range(rounds):
-        for number, index in enumerate(generator.permutation(count)):
-            progress = (done * count + number, rounds * count)
-            factor = start_rate ** (1.0 - progress[0] / progress[1])
-            objective = replace(objective, rate_factor=factor)
-            optimisation.step(submap, submap.keyframes[index], progress, objective)
-            next(steps, None)
-        if surfaces is not None:
+    total, views = rounds * count, ComparedViews(submap.keyframes, submap.views, generator)
+    for number in range(total):
+        view = views.next()
+        factor = start_rate ** (1.0 - number / total)
+        objective = replace(objective, rate_factor=factor)
+        loss = optimisation.step(submap, view, (number, total), objective)
+        views.compared(view, loss)
+        next(steps, None)
+        if surfaces is not None and (number + 1) % count == 0:
             submap.move(surfaces.project(submap.gaussians.means))
+    submap.views = []
     shapes = submap.gaussians.ellipsoids
     if shapes is not None:
         log_radii = shapes.log_scales.mean(dim=1)

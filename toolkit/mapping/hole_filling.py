@@ -38,6 +38,8 @@ _BEHIND_ALL = 1.5
 # weighted by this power of the depth, and so dominated by the far surface, by this factor.
 _DISTANCE_POWER = 6
 _EDGE_RATIO = 1.2
+# Width of the border of a hole that shows what is beside it, as a fraction of the image's width.
+_BORDER = 0.01
 # Largest width of the shadow beside a depth edge, as a fraction of the image's width.
 _MAX_SHADOW = 0.06
 
@@ -102,7 +104,8 @@ def inferred_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """Fill the missing values of a depth image. At least one value must be present.
 
     A hole inside a surface is interpolated. A hole beside a depth edge is the shadow that the near
-    surface casts on the far one, so it continues the far one.
+    surface casts on the far one, so it continues the far one. Only the border of a hole counts: an
+    open door or a mirror some way off a dark screen says nothing about the screen.
 
     Args:
         depth_m: [H, W] in metres, 0 where missing.
@@ -113,8 +116,9 @@ def inferred_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     known = depth_m > 0
     inverse = np.divide(1.0, depth_m, out=np.zeros(depth_m.shape, np.float32), where=known)
     weight, reach = known.astype(np.float32), _reach(known)
-    near_and_far = _mean_around(inverse, weight, reach)
-    far = _mean_around(inverse, weight * depth_m**_DISTANCE_POWER, reach)
+    border = weight * _beside_holes(known)
+    near_and_far = _mean_around(inverse, border, reach)
+    far = _mean_around(inverse, border * depth_m**_DISTANCE_POWER, reach)
     at_edge = near_and_far > _EDGE_RATIO * far
     filled = np.where(at_edge, far, _interpolated(inverse, weight))
     return np.divide(1.0, filled, out=depth_m.astype(np.float32), where=~known)
@@ -131,6 +135,12 @@ def _interpolated(values: NDArray[np.float32], weight: NDArray[np.float32]) -> N
     mean = np.divide(mean, total, out=np.zeros_like(mean), where=total > 0)
     coarse = cv2.resize(_interpolated(mean, total), (width, height))
     return np.where(weight > 0, values, coarse)
+
+
+def _beside_holes(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mask [H, W] of the missing pixels and the border around them."""
+    side = 2 * max(1, round(_BORDER * known.shape[1])) + 1
+    return np.asarray(cv2.dilate((~known).astype(np.uint8), np.ones((side, side), np.uint8)) > 0)
 
 
 def _reach(known: NDArray[np.bool_]) -> NDArray[np.float32]:

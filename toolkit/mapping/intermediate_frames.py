@@ -1,4 +1,4 @@
-"""Frames between two keyframes that show surfaces outside both keyframes' images.
+"""Frames between two keyframes: surfaces outside both keyframes' images, and more views to fit.
 
 Where the camera turns back between two keyframes, only frames between them show what it has seen
 farthest out. Without Gaussians there, these views have black borders.
@@ -18,7 +18,8 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below
-from toolkit.keyframe import Keyframe
+from toolkit.keyframe import Keyframe, evenly_spaced
+from toolkit.submaps.intermediate_views import IntermediateView
 
 # A frame with a smaller fraction of its measured pixels outside both keyframes is not used.
 MIN_OUTSIDE = 0.001
@@ -52,9 +53,16 @@ class IntermediateFrame:
 
 
 class IntermediateFrames:
-    """The last tracked frames since the newest keyframe, and those that wait to be mapped."""
+    """The last tracked frames since the newest keyframe, and those that wait to be mapped.
 
-    def __init__(self) -> None:
+    Args:
+        fill_holes: whether frames wait to be mapped.
+        max_views: maximum number of views between two keyframes.
+        measured: whether the depth of the frames is measured; views have none otherwise.
+    """
+
+    def __init__(self, fill_holes: bool = True, max_views: int = 0, measured: bool = True) -> None:
+        self._fill_holes, self._max_views, self._measured = fill_holes, max_views, measured
         self._frames: deque[IntermediateFrame] = deque(maxlen=_MAX_FRAMES)
         self._outside: deque[IntermediateFrame] = deque(maxlen=_MAX_WAITING)
 
@@ -66,21 +74,26 @@ class IntermediateFrames:
         exposure: Exposure,
     ) -> None:
         """Add a tracked frame after a keyframe, whose white balance it is given."""
+        if not self._fill_holes and not self._max_views:
+            return
         exposure = exposure.with_balance(keyframe.exposure.balance)
         T_keyframe_camera = se3.inverse(keyframe.T_map_camera) @ T_map_camera
         self._frames.append(IntermediateFrame(frame, keyframe.index, T_keyframe_camera, exposure))
 
-    def select(self, last: Keyframe, newest: Keyframe | None = None) -> None:
+    def select(self, last: Keyframe, newest: Keyframe | None = None) -> list[IntermediateView]:
         """Let those frames wait that show surfaces outside two keyframes; remove the others.
 
         Args:
             last: the keyframe before the frames, at its present pose.
             newest: the keyframe after them; None at the end of the sequence.
+
+        Returns:
+            Some of all the frames, for the final refinement.
         """
-        while self._frames:
-            between = self._frames.popleft()
-            if between.keyframe != last.index:
-                continue  # tracked in another submap
+        # Others were tracked in another submap.
+        own = [between for between in self._frames if between.keyframe == last.index]
+        self._frames.clear()
+        for between in own if self._fill_holes else ():
             T_map_camera = last.T_map_camera @ between.T_keyframe_camera
             points_map = se3.transform_points(T_map_camera, _samples(between.frame))
             outside = ~last.shows(points_map)
@@ -88,6 +101,15 @@ class IntermediateFrames:
                 outside &= ~newest.shows(points_map)
             if outside.sum() > MIN_OUTSIDE * len(outside):
                 self._outside.append(between)
+        return [self._view(between) for between in evenly_spaced(own, self._max_views)]
+
+    def _view(self, between: IntermediateFrame) -> IntermediateView:
+        frame = between.frame
+        if not self._measured:
+            frame = replace(frame, depth_m=np.zeros_like(frame.depth_m))
+        return IntermediateView.of(
+            frame, between.keyframe, between.T_keyframe_camera, between.exposure
+        )
 
     def take(self) -> IntermediateFrame | None:
         """Remove and return the first frame that waits to be mapped, if there is one."""

@@ -13,7 +13,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.errors import SettingsError
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Frame, NullRecorder, Recorder
@@ -98,12 +97,6 @@ class Mapper:
         self.options = options or MapperOptions()
         self.semantics = semantics or SemanticMapping()
         self.device = torch.device(device)
-        by_cuda = backend_name == "cuda" or (device == "cuda" and backend_name == "auto")
-        if by_cuda and self.options.final_shape == "ellipsoids":
-            raise SettingsError(
-                "--mapping.final-shape ellipsoids cannot be rendered by the cuda backend; use "
-                "--device cpu, or spheres"
-            )
         self._keyframe_choice: KeyframeChoice = self.options.keyframes
         self.deferred: DeferredSteps | None = None
         self.exposures = KeyframeExposures(self.options.white_balance, gains)

@@ -58,12 +58,27 @@ def _patch_sizes(submap: Submap) -> Array:
 
 def _patches(cloud: GaussianCloud, sizes_m: Array, classes: NDArray) -> NDArray[np.int64]:
     """Number [N] of the patch of each Gaussian: a cell of space, a colour and a class."""
+    means = cloud.means.cpu().double().numpy()
     # Powers of two, so that neighbours usually share their grid.
     levels = np.rint(np.log2(np.maximum(sizes_m, _SMALLEST_M)))
-    cells = np.floor(cloud.means.cpu().double().numpy() / np.exp2(levels)[:, None])
+    cells = _numbers(np.floor(means / np.exp2(levels)[:, None]), levels)
+    # Cells with several classes are halved: borders between classes stay sharp.
+    levels -= _is_mixed(cells, classes)
+    cells = np.floor(means / np.exp2(levels)[:, None])
     colours = np.floor(cloud.colours.cpu().double().numpy() / _COLOUR_STEP)
-    keys = np.column_stack([cells, levels, colours, classes]).astype(np.int64)
-    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+    return _numbers(cells, levels, colours, classes)
+
+
+def _numbers(*keys: NDArray) -> NDArray[np.int64]:
+    """Number [N] of each distinct row of some columns [N] or [N, K] of integers."""
+    rows = np.column_stack(keys).astype(np.int64)
+    return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _is_mixed(cells: NDArray[np.int64], classes: NDArray) -> NDArray[np.bool_]:
+    """Mask [N] of the Gaussians in cells with numbers [N] that contain several classes."""
+    pairs = np.unique(np.column_stack([cells, classes]), axis=0)
+    return np.asarray(np.bincount(pairs[:, 0])[cells] > 1)
 
 
 def _merged(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ from toolkit.keyframe import Keyframe, Observed
 from toolkit.losses.photometric import by_observed_depth, rgbd_loss, weigh_depth
 from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
+from toolkit.mapping.sparse_adam import SparseAdam
 from toolkit.mapping.view_features import FeatureLoss
 from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering import RenderOptions, render_surface
@@ -133,8 +133,7 @@ class MapOptimisation:
         self._options, self._semantics = options, semantics
         self._feature_loss = feature_loss
         self._backend, self._observations, self._recorder = backend, observations, recorder
-        rates = LearningRates()
-        self._adam = SparseAdam(replace(rates, features=rates.features * semantics.unit))
+        self._adam = SparseAdam(feature_unit=semantics.unit)
 
     def step(
         self,

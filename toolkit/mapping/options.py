@@ -80,12 +80,19 @@ class MapperOptions:
     """Number of optimisation iterations on the first keyframe."""
     final_iterations: NonNegativeInt = 6
     """Number of optimisation iterations per keyframe in the final refinement."""
+    # Without them, unseen views of a kitchen lose 0.3 dB, in the same number of steps. Four are not
+    # better than two.
+    final_views: NonNegativeInt = 2
+    """Maximum number of frames after each keyframe that the final refinement compares as well. They
+    are stored compressed until then. 0: keyframes only, as in both papers."""
     # Unconstrained, renderings gain 0.1 to 0.4 dB, but walls become a third thicker than unrefined.
     final_on_surfaces: bool = True
     """Constrain centres to their surfaces during the final refinement."""
-    final_shape: Literal["spheres", "ellipsoids"] = "spheres"
+    # Ellipsoids are better on unseen views of seven recordings, with a third to half of the
+    # Gaussians (benchmarks/results/final_shape.md).
+    final_shape: Literal["ellipsoids", "spheres"] = "ellipsoids"
     """Shape of the Gaussians of the finished map. Ellipsoids are merged from the spheres on which
-    the camera was tracked, in the final refinement, and are rendered as 3DGS does."""
+    the camera was tracked, before the final refinement, and are rendered as 3DGS does."""
     fill_holes: bool = True
     """Seed Gaussians where no keyframe measured depth: from frames between keyframes, and at an
     inferred depth before the final refinement."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -24,8 +24,8 @@ class LearningRates:
         colours: for colours in [0, 1].
         log_scales, rotations, harmonics: of the shapes of ellipsoids.
         features: of the semantic code, in logits.
-        epsilon, ellipsoid_epsilon: Adam's epsilon for spheres and ellipsoids. Gradients well below
-            it have little effect, so that Gaussians that fit the images do not move.
+        epsilon: Adam's. Gradients well below it have little effect, so that Gaussians that fit the
+            images do not move.
         settle_steps: number of iterations of a Gaussian after which its learning rates are halved.
             0 keeps them constant.
     """
@@ -34,24 +34,41 @@ class LearningRates:
     log_radii: float = 0.01
     opacity_logits: float = 0.05
     colours: float = 0.01
-    log_scales: float = 0.01
+    log_scales: float = 0.04
     rotations: float = 0.01
     harmonics: float = 0.002
     features: float = 1.0
     epsilon: float = 0.05
-    ellipsoid_epsilon: float = 0.0005
     settle_steps: float = 120.0
 
-    def epsilon_of(self, cloud: GaussianCloud) -> float:
-        """Adam's epsilon for a cloud."""
-        return self.epsilon if cloud.ellipsoids is None else self.ellipsoid_epsilon
+
+SPHERE_RATES = LearningRates()
+# Ellipsoids are merged from spheres that fit the images: their colours and classes change little,
+# their shapes much. With the feature rate of spheres, labels of a noisy room lose 5 % of mIoU; with
+# half of this one, those of office0 lose 0.4 %.
+ELLIPSOID_RATES = LearningRates(colours=0.004, features=0.2, epsilon=0.0005)
 
 
 class SparseAdam:
-    """Steps of Adam for the Gaussians in view; their moments belong to the submap."""
+    """Steps of Adam for the Gaussians in view; their moments belong to the submap.
 
-    def __init__(self, rates: LearningRates) -> None:
-        self.rates = rates
+    Args:
+        feature_unit: factor of the learning rate of the features.
+    """
+
+    def __init__(
+        self,
+        spheres: LearningRates = SPHERE_RATES,
+        ellipsoids: LearningRates = ELLIPSOID_RATES,
+        feature_unit: float = 1.0,
+    ) -> None:
+        self._rates = [
+            replace(rates, features=rates.features * feature_unit)
+            for rates in (spheres, ellipsoids)
+        ]
+
+    def _rates_of(self, cloud: GaussianCloud) -> LearningRates:
+        return self._rates[cloud.ellipsoids is not None]
 
     def step(
         self,
@@ -73,6 +90,7 @@ class SparseAdam:
         if module is None:
             self._step_torch(state, cloud, gradients, ids, rate_factor)
             return
+        rates = self._rates_of(cloud)
         (first, second), parameters, groups = state.moments(cloud), cloud.tensors(), []
         # Centres first: their unit is the radius before this step, as in `_step_torch`.
         for name, gradient in sorted(gradients.items(), key=lambda item: item[0] != "means"):
@@ -82,9 +100,9 @@ class SparseAdam:
                 continue
             tensors = (parameter, first[name], second[name], gradient)
             unit = address(cloud.log_radii) if name == "means" else 0
-            rate = rate_factor * getattr(self.rates, name)
+            rate = rate_factor * getattr(rates, name)
             groups.append((*(address(t) for t in tensors), width, rate, unit))
-        settings = (BETA1, BETA2, self.rates.epsilon_of(cloud), self.rates.settle_steps)
+        settings = (BETA1, BETA2, rates.epsilon, rates.settle_steps)
         module.adam(address(ids), len(ids), address(state.steps), groups, settings)
 
     def _step_torch(
@@ -95,9 +113,10 @@ class SparseAdam:
         ids: Tensor,
         rate_factor: float,
     ) -> None:
+        rates = self._rates_of(cloud)
         state.steps[ids] += 1
         steps = state.steps[ids].to(torch.float32)
-        settle = self.rates.settle_steps
+        settle = rates.settle_steps
         settled = 1.0 / (1.0 + steps / settle) if settle else torch.ones_like(steps)
         radii = cloud.log_radii[ids].exp()
         first_moments, second_moments = state.moments(cloud)
@@ -110,8 +129,8 @@ class SparseAdam:
             m = first[ids] * BETA1 + gradient * (1.0 - BETA1)
             v = second[ids] * BETA2 + gradient**2 * (1.0 - BETA2)
             first[ids], second[ids] = m, v
-            rate = rate_factor * getattr(self.rates, name) * settled / (1.0 - BETA1**steps)
+            rate = rate_factor * getattr(rates, name) * settled / (1.0 - BETA1**steps)
             if name == "means":
                 rate = rate * radii
-            scale = (v / (1.0 - BETA2**steps)[wide]).sqrt() + self.rates.epsilon_of(cloud)
+            scale = (v / (1.0 - BETA2**steps)[wide]).sqrt() + rates.epsilon
             parameters[name][ids] -= rate[wide] * m / scale

@@ -47,7 +47,7 @@ def composite(
     cloud, points = gaussians.select(order), points[order]
     x, y, z = points.unbind(1)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    footprint, gain, depth_covariance = _footprint(cloud, camera, points, T_camera_map[:3, :3])
+    covariance, gain, depth_covariance = footprint(cloud, camera, points, T_camera_map[:3, :3])
     opacity = cloud.opacity_logits.sigmoid() * gain
     values = [seen_colours(cloud, T_camera_map), z[:, None], torch.ones_like(z)[:, None]]
     if features is not None:
@@ -56,8 +56,8 @@ def composite(
 
     with torch.no_grad():
         support = (2.0 * torch.log((opacity / MIN_ALPHA).clamp(min=1.0))).sqrt()
-        across, down = (support * footprint[:, k, k].sqrt() + 1e-3 for k in range(2))
-    conic = torch.linalg.inv(footprint)
+        across, down = (support * covariance[:, k, k].sqrt() + 1e-3 for k in range(2))
+    conic = torch.linalg.inv(covariance)
     slope = (conic @ depth_covariance[:, :, None])[:, :, 0]
     rows, columns = tile_counts(camera)
     strips = []
@@ -88,11 +88,15 @@ def composite(
     return torch.cat(strips, dim=1)
 
 
-def _footprint(
+def footprint(
     cloud: GaussianCloud, camera: Camera, points: Tensor, R_camera_map: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return covariances [n, 2, 2] in squared pixels, factors [n] of the opacities, covariances
     [n, 2] of the pixel and the depth.
+
+    Args:
+        points: [n, 3] centres in camera coordinates.
+        R_camera_map: [3, 3], or [n, 3, 3].
 
     A sphere remains round, and its depth is that of its centre. An ellipsoid is projected by the
     Jacobian at its centre, which is evaluated near the image at most, as in 3DGS; its depth is the
@@ -118,7 +122,7 @@ def _footprint(
         )
         shapes = cloud.ellipsoids
         axes = rotation_matrices(shapes.rotations) * shapes.log_scales.exp()[:, None]
-        M, Mz = J @ R_camera_map @ axes, R_camera_map[2] @ axes
+        M, Mz = J @ R_camera_map @ axes, (R_camera_map[..., 2:, :] @ axes)[:, 0]
         bare = M @ M.transpose(1, 2)
         with_depth = (M @ Mz[:, :, None])[:, :, 0]
     if cloud.low_pass.variance_px2 == 0:
@@ -126,8 +130,13 @@ def _footprint(
     filtered = bare + cloud.low_pass.variance_px2 * identity
     if not cloud.low_pass.compensated:
         return filtered, torch.ones_like(z), with_depth
-    gain = (torch.linalg.det(bare).clamp(min=0) / torch.linalg.det(filtered)).sqrt()
+    gain = (_determinants(bare).clamp(min=0) / _determinants(filtered)).sqrt()
     return filtered, gain, with_depth
+
+
+def _determinants(matrices: Tensor) -> Tensor:
+    """Return the determinants [n] of symmetric matrices [n, 2, 2]."""
+    return matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] ** 2
 
 
 def _limited(slope: Tensor, focal: float, centre: float, size: int) -> Tensor:
@@ -136,10 +145,10 @@ def _limited(slope: Tensor, focal: float, centre: float, size: int) -> Tensor:
 
 
 def seen_colours(cloud: GaussianCloud, T_camera_map: Tensor) -> Tensor:
-    """Return colours [n, 3] as seen from a camera."""
+    """Return colours [n, 3] as seen from a camera at T_camera_map [3, 4], or one of [n, 3, 4]."""
     if cloud.ellipsoids is None:
         return cloud.colours
-    centre = -T_camera_map[:3, :3].T @ T_camera_map[:3, 3]
+    centre = -(T_camera_map[..., :3, :3].mT @ T_camera_map[..., :3, 3:])[..., 0]
     directions = torch.nn.functional.normalize(cloud.means - centre, dim=1)
     harmonics = cloud.ellipsoids.harmonics
     basis = harmonic_basis(directions, harmonics.shape[1])

@@ -24,7 +24,6 @@ from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
 from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.expected_time import ExpectedTime
-from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import locked
@@ -36,7 +35,7 @@ from toolkit.runs.results import (
     write_motion_alone,
     write_results,
 )
-from toolkit.runs.saved_map import load_saved_map, open_saved_map
+from toolkit.runs.saved_map import SavedMap, load_saved_map, open_saved_map
 from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.runs.snapshots import SnapshotWriter
@@ -100,7 +99,7 @@ def _execute(
     settings: RunSettings,
     dataset: RecordedDataset,
     folder: RunFolder,
-    saved: FinishedRun | None,
+    saved: SavedMap | None,
     progress: Progress,
     observers: Observers,
 ) -> None:
@@ -128,7 +127,7 @@ def _execute(
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
         if saved is not None:
-            load_saved_map(slam, saved)
+            load_saved_map(slam, saved, folder)
             # The checkpoint contains the saved map, so that resuming does not need the saved run.
             checkpoints.save(system, 0)
         indices = range(start or 0, len(dataset))

@@ -79,6 +79,7 @@ class RunFolder:
         self.report = path / "report.html"
         self.loops = path / "loops.jsonl"
         self.delays = path / "delays.csv"
+        self.saved_map = path / "saved_map.json"
         self.log = path / "log.txt"
         self.lock = path / LOCK
         self.checkpoints = path / "checkpoint"
@@ -130,7 +131,8 @@ class RunFolder:
 
     def discard(self) -> None:
         """Remove the folder of a run that saved no checkpoint; other files in it are kept."""
-        for path in (self.config, self.loops, self.log, self.taxonomy, self.lock):
+        small = (self.config, self.loops, self.log, self.taxonomy, self.lock, self.saved_map)
+        for path in small:
             path.unlink(missing_ok=True)
         shutil.rmtree(self.live, ignore_errors=True)
         for path in (self.renders, self.checkpoints, self.submaps, self.path):
@@ -358,7 +360,7 @@ def _with_columns(
 
 
 def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
-    """Read the Gaussians of a splat file (.ply, .splat, .spz).
+    """Read the Gaussians of a splat file, in any of the formats of `read_splats`.
 
     Raises:
         DatasetError: the file is missing.

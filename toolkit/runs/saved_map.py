@@ -1,16 +1,25 @@
-"""Start a run in the map of a finished run, which is extended (setting `map`)."""
+"""Start a run in the map of a finished run or of a splat file, and extend it (setting `map`)."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from toolkit.datasets.base import Dataset
 from toolkit.errors import SettingsError
+from toolkit.io.splats import is_splat_file
+from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.building import build_run_labeller
 from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.folder import RunFolder
 from toolkit.runs.modes import mode_of
 from toolkit.runs.settings import RunSettings
+from toolkit.runs.splat_map import open_splat_map, summary
 from toolkit.slam.system import Slam
 from toolkit.submaps.submap import Submap
 
@@ -21,12 +30,29 @@ _log = logging.getLogger(__name__)
 _INDEX_GAP = 10_000
 
 
-def open_saved_map(settings: RunSettings, dataset: Dataset | None) -> FinishedRun | None:
-    """Open the run in the setting `map`, None without one.
+@dataclass(frozen=True, eq=False)
+class SavedMap:
+    """A map that a run starts in.
+
+    Attributes:
+        place: the run folder or the splat file.
+        submaps: in their order.
+        semantics: state of the features' decoder; empty for a map without labels.
+        source: how a splat file was scaled, for `saved_map.json`; None for the map of a run.
+    """
+
+    place: Path
+    submaps: Mapping[int, Submap]
+    semantics: dict[str, NDArray]
+    source: dict[str, Any] | None = None
+
+
+def open_saved_map(settings: RunSettings, dataset: Dataset | None) -> SavedMap | None:
+    """Open the run or the splat file in the setting `map`, None without one.
 
     Raises:
-        ToolkitError: it is not a finished run, has no submaps, or its map cannot be extended with
-            these settings.
+        ToolkitError: it is no finished run and no splat file, has no submaps, its map cannot be
+            extended with these settings, or the dataset does not match the splat file.
     """
     if settings.map is None:
         return None
@@ -35,10 +61,13 @@ def open_saved_map(settings: RunSettings, dataset: Dataset | None) -> FinishedRu
             "the setting map requires poses 'slam' and loops.use, because the camera is "
             "relocalised in the saved map"
         )
+    if is_splat_file(settings.map):
+        found = open_splat_map(settings.map, settings, dataset)
+        return SavedMap(settings.map, {0: found.submap}, {}, summary(settings.map, found))
     saved = load_run(settings.map)
     _check_descriptors(saved, settings)
     _check_semantics(saved, settings, dataset)
-    return saved
+    return SavedMap(saved.folder.path, saved.submaps, saved.folder.read_semantics())
 
 
 def _check_descriptors(saved: FinishedRun, settings: RunSettings) -> None:
@@ -81,19 +110,36 @@ def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset
         )
 
 
-def load_saved_map(slam: Slam, saved: FinishedRun) -> None:
-    """Load the map and the observed classes of a finished run into a SLAM system.
+def load_saved_map(slam: Slam, saved: SavedMap, folder: RunFolder) -> None:
+    """Load a map and the observed classes into a SLAM system, and store where it is from.
 
     Raises:
         ToolkitError: a submap cannot be read.
     """
-    slam.mapper.semantics.restore(saved.folder.read_semantics())
+    semantics = slam.mapper.semantics
+    semantics.restore(saved.semantics)
     submaps = saved.submaps
     last = max(keyframe.index for submap in submaps.values() for keyframe in submap.keyframes)
-    _log.info("Relocalising in %d submap(s) of %s.", len(submaps), saved.folder.path)
+    _log.info("Relocalising in %d submap(s) of %s.", len(submaps), saved.place)
+    if saved.source is not None:
+        folder.write_json(folder.saved_map, saved.source)
+        _log.info(
+            "One unit of the file is %.4g m (%.1f %% between %d located frames).",
+            saved.source["metres_per_unit"],
+            100.0 * saved.source["relative_spread"],
+            len(saved.source["located_frames"]),
+        )
 
     def renumbered() -> Iterator[Submap]:
         for number, submap in enumerate(submaps.values()):
+            if saved.source is not None:
+                submap = _unlabelled(submap, semantics)
             yield submap.renumbered(number, -last - _INDEX_GAP)
 
     slam.load_map(renumbered())
+
+
+def _unlabelled(submap: Submap, semantics: SemanticMapping) -> Submap:
+    """The submap of a splat file with features, which belong to no class yet."""
+    void = semantics.start_values[0].expand(len(submap.gaussians), -1).contiguous()
+    return replace(submap, gaussians=replace(submap.gaussians, features=void))

@@ -24,6 +24,7 @@ from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.anchors import align_anchors
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.parts import separate
+from toolkit.refinement.saved_labels import label_saved
 from toolkit.refinement.within import StepProgress, refine_submaps
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.camera_path import CameraPath
@@ -84,10 +85,12 @@ class Slam:
         self._closer = front_end.closer
         self._placement, self._unit = front_end.placement, front_end.unit
         self._path = CameraPath()
-        self._between = IntermediateFrames()
         self._preparation = FramePreparation(
             sources or FrameSources(), front_end, mapper, self.atlas, self._path, self._recorder
         )
+        options, measured = mapper.options, self._preparation.correction is None
+        views = options.final_views if options.final_iterations else 0
+        self._between = IntermediateFrames(options.fill_holes, views, measured)
         label = self._preparation.labelled
         self._recovery = Recovery(front_end, mapper, self.atlas, self._path, label, self._recorder)
         self._locator = FrameLocator(front_end, self.atlas, self._recovery, self._recorder)
@@ -182,12 +185,12 @@ class Slam:
                 self._changes.start_if_due(tracking)
                 T_map_camera = self.atlas.keyframes[-1].T_map_camera
             elif again.found is not None:
-                self._between.select(self.atlas.keyframes[-1])
+                self._select_between()
                 if self.mapper.deferred is None:
                     self._map_intermediate_frames()
                 self._changes.enter(again.found, frame, T_map_camera)
                 T_map_camera, tracking = again.found.T_submap_camera, again.found.result
-        elif may_map and self.mapper.options.fill_holes:
+        elif may_map:
             last, exposure = self.atlas.keyframes[-1], exposure_of(tracking)
             self._between.add(frame, last, T_map_camera, exposure)
 
@@ -275,7 +278,7 @@ class Slam:
             progress: wraps the numbers of the refinement's steps, for instance in a progress bar.
         """
         if self.atlas.keyframes:
-            self._between.select(self.atlas.keyframes[-1])
+            self._select_between()
             self._map_intermediate_frames()
             with self._recorder.timed(Stage.REFINEMENT):
                 self._closer.finish(self.atlas, self.mapper)
@@ -285,6 +288,7 @@ class Slam:
                 refine_submaps(self.atlas, self.mapper, poses, progress)
                 if self.mapper.options.final_anchors:
                     align_anchors(self.atlas, self.mapper, parts)
+                label_saved(self.atlas, self.mapper, parts)
                 free_space = self.mapper.options.free_space
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
         return self.result()
@@ -305,7 +309,7 @@ class Slam:
         """Convert the stored submaps of a finished run; nothing may be processed afterwards."""
         if self.unit.is_metre:
             return
-        for number in range(self.atlas.saved, len(self.atlas)):
+        for number in range(len(self.atlas)):
             if number not in self.atlas.unreadable:
                 self.atlas.put(self.unit.submap_in_metres(self.atlas.submap(number)))
 
@@ -329,13 +333,18 @@ class Slam:
             keyframe.prior_m = keyframe.depth_m
         self._refine_pose(keyframe)
         if self.atlas.keyframes:
-            self._between.select(self.atlas.keyframes[-1], keyframe)
+            self._select_between(keyframe)
         with self._recorder.timed(Stage.MAPPING):
             mapping = self.mapper.add_keyframe(self.atlas.current, keyframe)
         if self.mapper.deferred is None:
             self._map_intermediate_frames()
         self._closer.keyframe_added(self.atlas)
         return mapping
+
+    def _select_between(self, newest: Keyframe | None = None) -> None:
+        """Select from the frames between the last keyframe and a new one, or at the end."""
+        last = self.atlas.keyframes[-1]
+        self.atlas.current.views.extend(self._between.select(last, newest))
 
     def _map_intermediate_frames(self) -> None:
         while self.map_intermediate_frame():

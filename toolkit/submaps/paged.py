@@ -30,7 +30,7 @@ class PagedSubmap:
         active: the content; None once it is stored.
         stored_poses: T_submap_camera [4, 4] of stored keyframes by frame index, in order.
         stored_balances: white balance of stored keyframes by frame index, in order.
-        stored_gaussians: number of stored Gaussians when the submap became active again.
+        stored_gaussians, stored_views: their numbers when the submap became active again.
     """
 
     number: int
@@ -41,6 +41,7 @@ class PagedSubmap:
     stored_poses: dict[int, Array] = field(default_factory=dict)
     stored_balances: dict[int, Balance] = field(default_factory=dict)
     stored_gaussians: int = 0
+    stored_views: int = 0
 
     @classmethod
     def of(cls, submap: Submap, store: SubmapStore) -> PagedSubmap:
@@ -76,7 +77,7 @@ class PagedSubmap:
         """
         submap = self.store.take(self.number)
         submap.T_world_submap, submap.descriptors = self.T_world_submap, self.descriptors
-        self.stored_gaussians = len(submap.gaussians)
+        self.stored_gaussians, self.stored_views = len(submap.gaussians), len(submap.views)
         self.active = submap.to(device)
 
     def page_out(self) -> None:
@@ -98,6 +99,7 @@ class PagedSubmap:
             "stored/indices": np.array(list(self.stored_poses), np.int64),
             "stored/poses": np.array(list(self.stored_poses.values())).reshape(-1, 4, 4),
             "stored/gaussians": np.array(self.stored_gaussians),
+            "stored/views": np.array(self.stored_views),
         }
 
     def restore_stored(self, arrays: Mapping[str, NDArray]) -> None:
@@ -105,6 +107,7 @@ class PagedSubmap:
         indices, poses = arrays["stored/indices"].tolist(), arrays["stored/poses"]
         self.stored_poses = {i: np.array(T) for i, T in zip(indices, poses, strict=True)}
         self.stored_gaussians = int(arrays["stored/gaussians"])
+        self.stored_views = int(arrays["stored/views"])
 
     def _is_stored(self, submap: Submap) -> bool:
         """Whether the stored version has the same keyframes, poses and Gaussians.
@@ -116,6 +119,7 @@ class PagedSubmap:
             list(poses) == list(self.stored_poses)
             and all(np.array_equal(T, self.stored_poses[index]) for index, T in poses.items())
             and len(submap.gaussians) == self.stored_gaussians
+            and len(submap.views) == self.stored_views
             and (self.active is None or not self.active.optimiser.is_active)
         )
 

@@ -16,6 +16,7 @@ from toolkit.gaussians.ellipsoids import SHAPES
 from toolkit.gaussians.rows import append_rows, select_rows
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
+from toolkit.submaps.intermediate_views import IntermediateView
 from toolkit.submaps.optimiser_state import OptimiserState
 
 
@@ -36,6 +37,7 @@ class Submap:
             that has measured its centre since from much nearer.
         descriptors: [K, D] float32 of unit length, one row per keyframe; D may be 0.
         optimiser: state of the Gaussians' optimiser; by default, no steps were taken.
+        views: of frames between the keyframes, until the final refinement.
     """
 
     number: int
@@ -45,6 +47,7 @@ class Submap:
     seeded_by: Tensor = field(default_factory=_none)
     descriptors: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     optimiser: OptimiserState = field(default_factory=lambda: OptimiserState(_none()))
+    views: list[IntermediateView] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         if len(self.optimiser.steps) == 0:
@@ -123,6 +126,9 @@ class Submap:
             number=number,
             keyframes=[replace(k, index=k.index + offset) for k in self.keyframes],
             seeded_by=self.seeded_by + offset,
+            views=[
+                replace(v, index=v.index + offset, keyframe=v.keyframe + offset) for v in self.views
+            ],
         )
 
     @property
@@ -145,9 +151,12 @@ class Submap:
         }
         for number, keyframe in enumerate(self.keyframes):
             arrays |= {f"keyframes/{number}/{k}": a for k, a in keyframe.arrays().items()}
+        for number, view in enumerate(self.views):
+            arrays |= {f"views/{number}/{k}": a for k, a in view.arrays().items()}
         return arrays, {
             "number": self.number,
             "keyframes": [k.values() for k in self.keyframes],
+            "views": [v.values() for v in self.views],
             "centred_colours": self.gaussians.centred_colours,
             "low_pass": asdict(self.gaussians.low_pass),
         }
@@ -174,6 +183,10 @@ class Submap:
             Keyframe.from_state(arrays_below(arrays, f"keyframes/{number}/"), value)
             for number, value in enumerate(values["keyframes"])
         ]
+        views = [
+            IntermediateView.from_state(arrays_below(arrays, f"views/{number}/"), value)
+            for number, value in enumerate(values.get("views", ()))
+        ]
         return cls(
             number=int(values["number"]),
             T_world_submap=np.array(arrays["T_world_submap"]),
@@ -182,4 +195,5 @@ class Submap:
             seeded_by=tensor("seeded_by"),
             descriptors=np.array(arrays["descriptors"]),
             optimiser=OptimiserState.from_state(arrays_below(arrays, "optimiser/"), device),
+            views=views,
         )

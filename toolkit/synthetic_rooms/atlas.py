@@ -43,6 +43,8 @@ class TextureAtlas:
             xy: [N, 2] texel coordinates on level 0, texel centres at integers.
             level: [N] mip level, clipped to the valid range.
         """
+        if len(xy) == 0:  # which OpenCV refuses
+            return np.zeros((0, 3), dtype=np.float32)
         level = np.clip(level, 0.0, MIP_LEVELS - 1.001)
         lower = level.astype(np.int32)
         fraction = (level - lower.astype(np.float32))[:, None]

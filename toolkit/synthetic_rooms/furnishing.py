@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from toolkit.synthetic_rooms import furniture as big
 from toolkit.synthetic_rooms import small_objects as small
+from toolkit.synthetic_rooms.finishes import Finish
 from toolkit.synthetic_rooms.furniture import Workshop
 from toolkit.synthetic_rooms.parts import Part, bounds, moved
 from toolkit.synthetic_rooms.patches import placement
@@ -266,7 +267,7 @@ def _wall_hangings(plan: RoomPlan, shop: Workshop, taken: list[Box]) -> list[Par
             parts += moved(small.switch(shop), T)
     hangings: list[Group] = [
         small.clock,
-        lambda s: small.picture(s, 0.9, 0.6),
+        lambda s: small.picture(s, 0.9, 0.6, Finish.HUNG_MIRROR),
         lambda s: small.picture(s, 0.7, 0.5),
         lambda s: small.picture(s, 0.5, 0.65),
         lambda s: small.picture(s, 0.4, 0.4),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from toolkit.geometry import se3
 from toolkit.synthetic_rooms import pictures
 from toolkit.synthetic_rooms import textures as tx
+from toolkit.synthetic_rooms.finishes import Finish
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.patches import (
     TexturedPatch,
@@ -37,10 +38,15 @@ class Workshop:
         self.rng = rng
 
     def part(
-        self, name: str, patches: list[TexturedPatch], texture: Texture, glow: float = 0.0
+        self,
+        name: str,
+        patches: list[TexturedPatch],
+        texture: Texture,
+        glow: float = 0.0,
+        finish: Finish = Finish.MATT,
     ) -> Part:
         """Create a part of the class `name`."""
-        return Part(name, patches, texture, self.rng.spawn(1)[0], glow)
+        return Part(name, patches, texture, self.rng.spawn(1)[0], glow, finish)
 
     def pick(self, choices: tuple[Colour, ...]) -> Colour:
         """Choose one of the colours with a small random variation."""
@@ -114,7 +120,7 @@ def wardrobe(shop: Workshop) -> list[Part]:
     handles = [p for x in (-0.06, 0.06) for p in box((0.02, 0.03, 0.22), (x, -0.585, 0.95))]
     return [
         shop.part("wardrobe", box((1.2, 0.55, 2.05), (0.0, -0.275, 0.0)), tx.wood(colour)),
-        shop.part("wardrobe", doors, tx.wood(shop.pick(WOODS), 0.11)),
+        shop.part("wardrobe", doors, tx.wood(shop.pick(WOODS), 0.11), finish=Finish.MIRROR),
         shop.part("wardrobe", handles, tx.speckled(DARK)),
     ]
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.synthetic_rooms.reflections import RETURNED_COSINES
 from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 
 # White balance: distance in frames between steps, duration of a step, and largest logarithmic
@@ -20,10 +21,9 @@ _EXPOSURE = ((0.06, 110.0), (0.03, 47.0))
 _FLYING_SHARE = 0.4
 _NEIGHBOURHOOD = np.ones((5, 5), np.uint8)
 
-# Surfaces that reflect: they return depth only between these cosines of the viewing angle, which
-# vary by pixel. Seen from the front, they send the light of the projector back as glare.
+# Surfaces that reflect: they return depth only at middle angles, which vary by pixel.
 SHINY = ("bottle", "bowl", "cup", "monitor", "table", "tv-screen", "vase", "window")
-_RETURNED_COSINES, _COSINE_SPREAD = (0.4, 0.75), 0.05
+_COSINE_SPREAD = 0.05
 
 
 def white_balance_gains(frames: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -70,5 +70,6 @@ def without_reflections(
     """Remove depth [H, W] on shiny objects, except where they are seen at a middle angle."""
     shiny = np.isin(labels, [CLASS_IDS[name] for name in SHINY])
     seen = cosine + _COSINE_SPREAD * rng.standard_normal(depth_m.shape, dtype=np.float32)
-    returned = (seen > _RETURNED_COSINES[0]) & (seen < _RETURNED_COSINES[1])
+    low, high = RETURNED_COSINES
+    returned = (seen > low) & (seen < high)
     return np.where(shiny & ~returned, 0.0, depth_m)

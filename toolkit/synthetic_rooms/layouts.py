@@ -17,9 +17,10 @@ from toolkit.synthetic_rooms.parts import Part, moved
 from toolkit.synthetic_rooms.patches import placement
 from toolkit.synthetic_rooms.paths import WayPoint
 from toolkit.synthetic_rooms.ray_casting import Scene
+from toolkit.synthetic_rooms.reflections import polished
 from toolkit.synthetic_rooms.shell import WALL_HALF_M, Opening, RoomPlan, room_shell
 from toolkit.synthetic_rooms.textures import weakened
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, numbered
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, GLOSSY_CLASS_NAMES, numbered
 
 _EYE_M = 1.45
 _WALL_M = 2 * WALL_HALF_M
@@ -289,11 +290,24 @@ def lamp_places(rooms: tuple[RoomPlan, ...]) -> NDArray[np.float64]:
     return np.array(lamps)
 
 
+@dataclass(frozen=True)
+class Look:
+    """Properties of all surfaces of a layout.
+
+    Attributes:
+        texture: a key of TEXTURES.
+        glossy: floors, screens and mirrors reflect the scene; only in furnished rooms.
+    """
+
+    texture: str = "normal"
+    glossy: bool = False
+
+
 def build_scene(
     layout: Layout,
     seed: int,
     texel_m: float,
-    texture: str = "normal",
+    look: Look | None = None,
     collection: Sequence[str] | None = None,
     later: bool = False,
 ) -> Scene:
@@ -303,17 +317,21 @@ def build_scene(
         layout: rooms and camera path.
         seed: of furniture and textures.
         texel_m: edge of a texel, metres.
-        texture: a key of TEXTURES.
+        look: of the surfaces; by default, textures are normal and nothing reflects.
         collection: class names of rooms with shelves of objects (`collection.class_names`); None
             for furnished rooms with the classes of Replica.
         later: as it is in the second half of the frames; see `Layout.revisit`.
     """
-    contrast = TEXTURES[texture]
+    look = look or Look()
+    contrast = TEXTURES[look.texture]
     parts = build_parts(layout, seed, collection, later)
     if contrast < 1.0:
         parts = [replace(part, texture=weakened(part.texture, contrast)) for part in parts]
+    if look.glossy:
+        parts = polished(parts)
     lit = layout.rooms[1:] if later and layout.revisit == "dark" else layout.rooms
-    return Scene(parts, lamp_places(lit), texel_m, numbered(collection or CLASS_NAMES))
+    names = collection or (GLOSSY_CLASS_NAMES if look.glossy else CLASS_NAMES)
+    return Scene(parts, lamp_places(lit), texel_m, numbered(names), look.glossy)
 
 
 # The fraction of each texture's contrast that is kept.

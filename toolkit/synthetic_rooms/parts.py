@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.synthetic_rooms.finishes import Finish
 from toolkit.synthetic_rooms.patches import TexturedPatch
 from toolkit.synthetic_rooms.textures import Texture
 
@@ -21,6 +22,7 @@ class Part:
         texture: paints the chart of each patch.
         rng: random stream of the texture; parts with equal streams look the same.
         glow: minimum brightness in [0, 1]: 0 for ordinary surfaces, 1 for screens and lamps.
+        finish: of the surfaces in glossy rooms.
     """
 
     class_name: str
@@ -28,6 +30,7 @@ class Part:
     texture: Texture
     rng: np.random.Generator
     glow: float = 0.0
+    finish: Finish = Finish.MATT
 
     def transformed(self, T_new_old: NDArray[np.float64]) -> Part:
         """Return the part transformed by a rigid motion [4, 4]."""

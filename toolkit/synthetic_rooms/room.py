@@ -6,8 +6,9 @@ import functools
 import logging
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,13 @@ from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.synthetic_rooms import collection, writer
-from toolkit.synthetic_rooms.layouts import LAYOUTS, TEXTURES, Layout, build_scene
+from toolkit.synthetic_rooms.layouts import LAYOUTS, TEXTURES, Layout, Look, build_scene
 from toolkit.synthetic_rooms.paths import hand_held_path
 from toolkit.synthetic_rooms.ray_casting import RayCastView, Scene
+from toolkit.synthetic_rooms.reflections import measured_depth
 from toolkit.synthetic_rooms.sensor import Sensor, SensorModel
 from toolkit.synthetic_rooms.unseen import poses_off_the_path
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, numbered
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, GLOSSY_CLASS_NAMES, numbered
 from toolkit.synthetic_rooms.walker import Walker
 
 RATE_HZ = 30.0
@@ -60,6 +62,8 @@ class RoomSettings:
         classes: number of classes of a room whose walls are covered with shelves of small objects,
             from 20 to 500; only with the layout "room" and without reflections. None for a
             furnished room with the classes of Replica.
+        glossy: floors are lacquered, screens are off, and the largest picture of each room and the
+            doors of its wardrobe are mirrors; neither with a walker nor with classes.
     """
 
     layout: str = "room"
@@ -74,6 +78,7 @@ class RoomSettings:
     texture: str = "normal"
     fov_deg: float | None = None
     classes: int | None = None
+    glossy: bool = False
 
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
@@ -96,6 +101,8 @@ class RoomSettings:
             raise SettingsError(f"fov_deg must lie in [10, 120], got {self.fov_deg}")
         if self.classes is not None:
             self._check_classes(self.classes)
+        if self.glossy:
+            self._check_glossy()
 
     def _check_classes(self, classes: int) -> None:
         low, high = collection.MIN_CLASSES, collection.MAX_CLASSES
@@ -105,6 +112,12 @@ class RoomSettings:
             raise SettingsError(f"classes requires the layout 'room', got {self.layout!r}")
         if self.sensor is not None and self.sensor.reflections:
             raise SettingsError("classes cannot be combined with real: no object is shiny")
+
+    def _check_glossy(self) -> None:
+        if self.walker:
+            raise SettingsError("glossy cannot be combined with walker or real: no mirror shows it")
+        if self.classes is not None:
+            raise SettingsError("glossy cannot be combined with classes: the room has no mirror")
 
     @property
     def camera(self) -> Camera:
@@ -119,6 +132,20 @@ class RoomSettings:
     def collection(self) -> tuple[str, ...] | None:
         """Class names of a room with shelves of objects; None for a furnished room."""
         return None if self.classes is None else collection.class_names(self.classes)
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Names of all classes of the room, in the order of their ids, which start at 1."""
+        if self.collection is not None:
+            return self.collection
+        return GLOSSY_CLASS_NAMES if self.glossy else CLASS_NAMES
+
+    def as_written(self) -> dict[str, Any]:
+        """Values for the room's file of settings; those of rooms without gloss do not name it."""
+        values = asdict(self)
+        if not self.glossy:
+            del values["glossy"]
+        return values
 
     def stream(self, purpose: int) -> np.random.Generator:
         """Return the random generator of one purpose, independent of the others."""
@@ -146,12 +173,16 @@ def make_room(
     camera = settings.camera  # raises before a folder is made if the images are too large
     writer.prepare_folder(path)
     layout = LAYOUTS[settings.layout]()
-    names = settings.collection
     build = functools.partial(
-        build_scene, layout, settings.seed, _texel_m(settings), settings.texture, names
+        build_scene,
+        layout,
+        settings.seed,
+        _texel_m(settings),
+        Look(settings.texture, settings.glossy),
+        settings.collection,
     )
     scene = build()
-    class_ids = numbered(names or CLASS_NAMES)
+    class_ids = numbered(settings.class_names)
     poses = _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
     later = scene
@@ -160,15 +191,19 @@ def make_room(
     views = _views(scene, settings, poses, later)
     if settings.walker:
         views = writer.with_walker_masks(path, views)
+    if settings.glossy:
+        views = writer.with_surfaces(path, views)
     frames: Iterable[Frame] = _frames(views, camera)
     if progress is not None:
         frames = progress(frames, len(poses))
     writer.write_sequence(path, frames, camera, poses, class_ids)
     ideal = poses_off_the_path(scene, camera, poses, settings.unseen, settings.stream(_UNSEEN))
-    unseen = _ideal_frames(scene, camera, ideal)
-    writer.write_sequence(path / "unseen", unseen, camera, ideal, class_ids)
+    unseen: Iterable[RayCastView] = (scene.render(camera, T) for T in ideal)
+    if settings.glossy:
+        unseen = writer.with_surfaces(path / "unseen", unseen)
+    writer.write_sequence(path / "unseen", _frames(unseen, camera), camera, ideal, class_ids)
     writer.write_mesh(path / "mesh.ply", scene)
-    writer.write_json(path / writer.MARKER, asdict(settings))
+    writer.write_json(path / writer.MARKER, settings.as_written())
 
 
 def tiny_room(
@@ -227,13 +262,11 @@ def _views(
         view = shown.render(camera, T_world_camera)
         if walker is not None:
             view = walker.add_to(index, view, camera, T_world_camera)
+        if view.reflection is not None:
+            view = replace(view, depth_m=measured_depth(view.reflection, view.cosine))
         yield view if sensor is None else sensor.observe(index, view)
 
 
 def _frames(views: Iterable[RayCastView], camera: Camera) -> Iterator[Frame]:
     for index, view in enumerate(views):
         yield Frame(index, index / RATE_HZ, view.rgb, view.depth_m, camera, view.labels)
-
-
-def _ideal_frames(scene: Scene, camera: Camera, poses: NDArray) -> Iterator[Frame]:
-    return _frames((scene.render(camera, T) for T in poses), camera)

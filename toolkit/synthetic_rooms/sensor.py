@@ -17,12 +17,13 @@ from toolkit.synthetic_rooms.imperfections import (
     without_reflections,
 )
 from toolkit.synthetic_rooms.ray_casting import RayCastView
+from toolkit.synthetic_rooms.reflections import FARTHEST_M
 
 # Structured-light camera: focal length 580 px at a width of 640, baseline 7.5 cm, disparity
 # resolution 1/8 px.
 _BASELINE_PIXELS_M = 580.0 * 0.075
 _DISPARITY_STEP = 0.125
-_NEAREST_M, _FARTHEST_M = 0.35, 8.0
+_NEAREST_M = 0.35
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def _with_holes(
     kernel = np.ones((3, 3), dtype=np.uint8)
     nearest, farthest = cv2.erode(true, kernel), cv2.dilate(true, kernel)
     edge = (farthest - nearest > 0.04 + 0.03 * nearest) & (chance < 0.8)
-    out_of_range = (depth_m < _NEAREST_M) | (depth_m > _FARTHEST_M)
+    out_of_range = (depth_m < _NEAREST_M) | (depth_m > FARTHEST_M)
     return np.where(grazing | edge | out_of_range, 0.0, depth_m)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit.synthetic_rooms import pictures
 from toolkit.synthetic_rooms import textures as tx
+from toolkit.synthetic_rooms.finishes import Finish
 from toolkit.synthetic_rooms.furniture import PALE, WOODS, Workshop, curtain
 from toolkit.synthetic_rooms.parts import Part, moved
 from toolkit.synthetic_rooms.patches import TexturedPatch, box, fine_plate, placement, plate
@@ -112,7 +113,7 @@ def room_shell(plan: RoomPlan, shop: Workshop) -> list[Part]:
     ceiling = plate((x0, y0, plan.height_m), (width, 0, 0), (0, depth, 0))
     papers = _wall_papers(shop)
     parts = [
-        shop.part("floor", [floor], _floor_texture(shop)),
+        shop.part("floor", [floor], _floor_texture(shop), finish=Finish.LACQUER),
         shop.part("ceiling", [ceiling], tx.panels((0.8, 0.8, 0.78))),
     ]
     for side, paper in zip(SIDES, papers, strict=True):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from toolkit.geometry import se3
 from toolkit.synthetic_rooms import pictures
 from toolkit.synthetic_rooms import textures as tx
+from toolkit.synthetic_rooms.finishes import Finish
 from toolkit.synthetic_rooms.furniture import CLOTHS, DARK, PALE, WOODS, Workshop
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.patches import (
@@ -110,7 +111,7 @@ def monitor(shop: Workshop) -> list[Part]:
     face = fine_plate((-0.27, -0.0185, 0.44), (0.54, 0, 0), (0, 0, -0.33), (4, 3))
     return [
         shop.part("monitor", case, tx.speckled(DARK, 0.12)),
-        shop.part("monitor", [face], pictures.screen(), glow=0.95),
+        shop.part("monitor", [face], pictures.screen(), 0.95, Finish.SCREEN),
     ]
 
 
@@ -170,11 +171,13 @@ def _leaf(rng: np.random.Generator, number: int, z: float) -> TexturedPatch:
     return TexturedPatch(points, uv_m, np.ones((8, 4), dtype=bool)).transformed(T)
 
 
-def picture(shop: Workshop, width: float = 0.7, height: float = 0.5) -> list[Part]:
+def picture(
+    shop: Workshop, width: float = 0.7, height: float = 0.5, finish: Finish = Finish.MATT
+) -> list[Part]:
     """A framed abstract painting."""
     palette = np.clip(shop.rng.random((5, 3)) * 0.8 + 0.1, 0, 1)
     patches = box((width, 0.025, height), (0.0, -0.0125, -height / 2))
-    return [shop.part("picture", patches, pictures.painting(palette))]
+    return [shop.part("picture", patches, pictures.painting(palette), finish=finish)]
 
 
 def clock(shop: Workshop) -> list[Part]:
@@ -190,7 +193,7 @@ def television(shop: Workshop) -> list[Part]:
     face = fine_plate((-0.535, -0.0515, 0.305), (1.07, 0, 0), (0, 0, -0.61), (6, 4))
     return [
         shop.part("tv-screen", case, tx.speckled(DARK, 0.12)),
-        shop.part("tv-screen", [face], pictures.landscape(bar_m=0.0), glow=0.95),
+        shop.part("tv-screen", [face], pictures.landscape(bar_m=0.0), 0.95, Finish.SCREEN),
     ]
 
 

@@ -27,6 +27,11 @@ def weakened(texture: Texture, contrast: float) -> Texture:
     return paint
 
 
+def darkened(texture: Texture, factor: float) -> Texture:
+    """The same texture with all colours multiplied by a factor."""
+    return lambda canvas: texture(canvas) * np.float32(factor)
+
+
 def plaster(colour: Colour, contrast: float = 0.03) -> Texture:
     """Painted plaster: faint clouds and fine grain."""
 

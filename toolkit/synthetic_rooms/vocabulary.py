@@ -18,6 +18,9 @@ toothbrush towel tv-screen tv-stand umbrella utensil-holder vase vent wall wall-
 wall-plug wardrobe window rug logo bag set-of-clothing
 """
 CLASS_NAMES: tuple[str, ...] = tuple(_NAMES.split())
+# Replica has no class for mirrors; glossy rooms add one behind the others.
+MIRROR = "mirror"
+GLOSSY_CLASS_NAMES: tuple[str, ...] = (*CLASS_NAMES, MIRROR)
 
 
 def numbered(names: Sequence[str]) -> dict[str, int]:

@@ -23,6 +23,7 @@ from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 DEPTH_SCALE = 6553.5
 MARKER = "room.json"
 WALKER = "walker"
+SURFACE = "surface"
 
 
 def prepare_folder(path: Path) -> None:
@@ -40,6 +41,7 @@ def prepare_folder(path: Path) -> None:
             for name in ("results", "labels"):
                 (folder / name).mkdir(parents=True, exist_ok=True)
                 _remove_images(folder / name)
+            _remove_images(folder / SURFACE)
         _remove_images(path / WALKER)
         # Empty until the room is complete, so that an interrupted room can be recreated.
         (path / MARKER).write_text("")
@@ -67,6 +69,20 @@ def with_walker_masks(path: Path, views: Iterable[RayCastView]) -> Iterator[RayC
         yield view
 
 
+def with_surfaces(path: Path, views: Iterable[RayCastView]) -> Iterator[RayCastView]:
+    """Write the true depth and the finish of the surfaces of each view of a glossy room."""
+    folder = path / SURFACE
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise DatasetError(f"cannot write {folder}: {error.strerror}") from error
+    for index, view in enumerate(views):
+        if view.reflection is not None:
+            _write_png(folder / f"depth{index:06d}.png", _stored(view.reflection.surface_m))
+            _write_png(folder / f"finish{index:06d}.png", view.reflection.finish)
+        yield view
+
+
 def write_sequence(
     path: Path,
     frames: Iterable[Frame],
@@ -82,9 +98,8 @@ def write_sequence(
     for frame in frames:
         stem = f"{frame.index:06d}.png"
         bgr = np.round(frame.rgb[..., ::-1] * 255.0).astype(np.uint8)
-        depth = np.clip(np.round(frame.depth_m * DEPTH_SCALE), 0, 65535).astype(np.uint16)
         _write_png(path / "results" / f"frame{stem}", bgr)
-        _write_png(path / "results" / f"depth{stem}", depth)
+        _write_png(path / "results" / f"depth{stem}", _stored(frame.depth_m))
         if frame.labels is not None:
             _write_png(path / "labels" / f"label{stem}", frame.labels.astype(label_type))
     rows = np.asarray(T_world_camera).reshape(-1, 16)
@@ -93,6 +108,10 @@ def write_sequence(
     write_json(path / "cam_params.json", {"camera": _intrinsics(camera)})
     classes = {str(number): name for name, number in class_ids.items()}
     write_json(path / "labels" / "classes.json", {"void": 0, "classes": classes})
+
+
+def _stored(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    return np.clip(np.round(depth_m * DEPTH_SCALE), 0, 65535).astype(np.uint16)
 
 
 def write_mesh(path: Path, scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""The offline page: one HTML file with the scene, the program and its style."""
+"""The page: one HTML file with the scene, the program and its style."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from toolkit.io.atomic import write_bytes
-from toolkit.viewer.packing import pack
+from toolkit.viewer.packing import PackedScene, pack
 from toolkit.viewer.scene import ViewerScene
 
 # Scripts of the page, in the order in which they use each other.
@@ -20,6 +20,8 @@ SCRIPTS = (
     "navigation.js",
     "gl_programs.js",
     "splat_renderer.js",
+    "detail_stream.js",
+    "pace.js",
     "line_renderer.js",
     "colouring.js",
     "picking.js",
@@ -37,18 +39,23 @@ def write_page(path: Path, scene: ViewerScene) -> int:
     Raises:
         RunFolderError: the file cannot be written.
     """
-    content = page(scene).encode()
+    content = page(pack(scene)).encode()
     write_bytes(path, content)
     return len(content)
 
 
-def page(scene: ViewerScene) -> str:
-    """Return the offline page of a scene; a browser needs no other file and no network."""
-    packed = pack(scene)
+def page(packed: PackedScene, connect: str = "") -> str:
+    """Return the page of a scene; a browser needs no other file.
+
+    Args:
+        packed: the scene.
+        connect: sources that the page may load data from; by default it has no network.
+    """
     # "</script>" in a name must not end the element.
     header = json.dumps(packed.header, ensure_ascii=False, separators=(",", ":"))
     parts = {
-        "TITLE": escape(scene.title),
+        "TITLE": escape(packed.header["title"]),
+        "CONNECT": f"; connect-src {connect}" if connect else "",
         "STYLE": _source("style.css"),
         "SCENE": header.replace("<", "\\u003c"),
         "DATA": base64.b64encode(bytes(packed.data)).decode(),

@@ -13,7 +13,7 @@ class ShownContent:
 
     max_gaussians: PositiveInt = 300_000
     """Maximum number of Gaussians that are shown, preferably those that look large from the cameras
-    of the run."""
+    of the run. `semsplat view` streams larger maps instead."""
     images: NonNegativeInt = 60
     """Maximum number of keyframes that are shown with their image, evenly spaced."""
     image_width: PositiveInt = 240

@@ -1,12 +1,14 @@
-"""Compact binary form of a scene for the offline page.
+"""Compact binary form of a scene, or of a part of its Gaussians, for the page.
 
-Positions are stored as 16-bit fractions of the bounding box, sizes as 8-bit fractions of the range
-of their logarithms, colours and opacities with 8 bits.
+Positions are stored as 16-bit fractions of the bounding box, or as they are if that would be
+visible; sizes as 8-bit fractions of the range of their logarithms, colours, opacities and harmonics
+with 8 bits.
 """
 
 from __future__ import annotations
 
 import base64
+import json
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,10 +26,14 @@ from toolkit.viewer.scene import (
 )
 
 _JPEG_QUALITY = 72
+_POSITION_STEPS = 65535.0
+# Steps of positions are visible if they are larger than this share of a common standard deviation,
+# as in maps of other programs, which reach far beyond what they show.
+_VISIBLE_STEP = 0.5
 # Stored shapes are this fraction of the largest value of int16.
 _SHAPE_SCALE = 32767.0
 # Index of unknown nodes in the page.
-_NO_NODE = 65535
+NO_NODE = 65535
 
 
 @dataclass
@@ -55,12 +61,21 @@ class PackedScene:
 
 
 def pack(scene: ViewerScene) -> PackedScene:
-    """Pack a scene for the page."""
+    """Pack a scene for the page; it contains at least one Gaussian."""
     packed = PackedScene({"arrays": {}} | _header(scene))
     _pack_splats(packed, scene.splats)
     packed.add("path", scene.path[:, :3, 3].astype(np.float32))
     packed.add("pathColours", scene.path_colours)
     return packed
+
+
+def pack_chunk(splats: ShownSplats) -> bytes:
+    """Pack one or more Gaussians alone: length of the header (uint32), header (JSON) and arrays."""
+    packed = PackedScene({"arrays": {}})
+    _pack_splats(packed, splats)
+    header = json.dumps(packed.header, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 4)
+    return len(header).to_bytes(4, "little") + header + bytes(packed.data)
 
 
 def _header(scene: ViewerScene) -> dict[str, Any]:
@@ -118,7 +133,12 @@ def _pack_splats(packed: PackedScene, splats: ShownSplats) -> None:
     extent = np.maximum(high - low, 1e-6)
     header["count"] = len(splats)
     header["low"], header["extent"] = low.tolist(), extent.tolist()
-    packed.add("means", np.rint((splats.means_m - low) / extent * 65535.0).astype(np.uint16))
+    step_m = float(extent.max()) / _POSITION_STEPS
+    if step_m > _VISIBLE_STEP * float(np.median(splats.sigmas_m)):
+        packed.add("means", splats.means_m)
+    else:
+        steps = np.rint((splats.means_m - low) / extent * _POSITION_STEPS)
+        packed.add("means", steps.astype(np.uint16))
 
     logs = np.log(np.maximum(splats.sigmas_m, 1e-6))
     smallest, span = float(logs.min()), max(float(np.ptp(logs)), 1e-6)
@@ -131,8 +151,10 @@ def _pack_splats(packed: PackedScene, splats: ShownSplats) -> None:
         largest = max(float(np.abs(splats.shapes).max()), 1e-6)
         header["shapeScale"] = largest / _SHAPE_SCALE
         packed.add("shapes", np.rint(splats.shapes / header["shapeScale"]).astype(np.int16))
+    if splats.harmonics is not None:
+        packed.add("harmonics", splats.harmonics)
     if splats.levels is not None:
-        nodes = np.where(splats.levels < 0, _NO_NODE, splats.levels).astype(np.uint16)
+        nodes = np.where(splats.levels < 0, NO_NODE, splats.levels).astype(np.uint16)
         packed.add("levels", nodes.T)
     if splats.confidence is not None:
         packed.add("confidence", np.rint(255.0 * splats.confidence).astype(np.uint8))

@@ -12,9 +12,7 @@ from toolkit.errors import FormatError, RunFolderError
 from toolkit.evaluation.frame_states import summary_lines
 from toolkit.evaluation.run_loops import accepted_edges
 from toolkit.exports.selection import SelectedGaussians, ground_of, select
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.io.splat_labels import SplatLabels
-from toolkit.io.splat_shapes import relative_covariances
+from toolkit.io.label_files import label_file_of
 from toolkit.io.splats import Splats, is_splat_file, read_splats
 from toolkit.loops.log import read_loop_log
 from toolkit.runs.finished import FinishedRun
@@ -23,27 +21,38 @@ from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.viewer.keyframes import shown_keyframes
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.scene import ShownLoop, ShownSplats, ShownTree, ViewerScene, path_states
+from toolkit.viewer.shapes import shape_columns
 
 
-def read_scene(path: Path, content: ShownContent) -> ViewerScene:
+def read_scene(path: Path, content: ShownContent, whole: bool = False) -> ViewerScene:
     """Describe what a viewer shows of a finished run or of a splat file.
 
     Args:
-        path: run folder, or a splat file (.ply, .splat, .spz).
+        path: run folder, or a splat file.
         content: what is shown.
+        whole: return all Gaussians, in the order of the map, whatever their maximum number.
 
     Raises:
         ToolkitError: there is no finished run, or the file is not a splat file.
     """
     if not is_splat_file(path) and path.exists():
-        return run_scene(select(path), content)
+        return run_scene(select(path), content, whole)
     if not path.exists():
         raise RunFolderError(f"{path} does not exist; give a run folder or a splat file")
-    return file_scene(path, content)
+    scene = file_scene(path)
+    return scene if whole else scene.thinned(content.max_gaussians)
 
 
-def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScene:
-    """Describe the selected Gaussians of a finished run, with its cameras and loops."""
+def run_scene(
+    selection: SelectedGaussians, content: ShownContent, whole: bool = False
+) -> ViewerScene:
+    """Describe the selected Gaussians of a finished run, with its cameras and loops.
+
+    Args:
+        selection: the Gaussians.
+        content: what is shown.
+        whole: return all Gaussians, in the order of the map, whatever their maximum number.
+    """
     run, gaussians = selection.run, selection.gaussians
     labels = selection.labels
     tree = None
@@ -54,11 +63,13 @@ def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScen
         sigmas_m=gaussians.radii_m.numpy(),
         opacities=gaussians.opacities.numpy(),
         rgb=selection.rgb,
-        shapes=_shapes(gaussians),
+        **shape_columns(gaussians.ellipsoids),
         levels=None if labels is None else labels.levels,
         confidence=None if labels is None else labels.confidence,
         submap=None if selection.submap is None else selection.submap.astype(np.int32),
-    ).thinned(content.max_gaussians, run.trajectory.positions_m)
+    )
+    if not whole:
+        splats = splats.thinned(content.max_gaussians, run.trajectory.positions_m)
     keyframes = shown_keyframes(run, splats, content)
     return ViewerScene(
         title=run.folder.path.resolve().name,
@@ -82,24 +93,16 @@ def run_scene(selection: SelectedGaussians, content: ShownContent) -> ViewerScen
     )
 
 
-def _shapes(gaussians: GaussianCloud) -> NDArray[np.float32] | None:
-    """Covariances [N, 6] relative to the squared radius, None for spheres."""
-    shapes = gaussians.ellipsoids
-    if shapes is None:
-        return None
-    return relative_covariances(shapes.log_scales.exp().numpy(), shapes.rotations.numpy())
-
-
-def file_scene(path: Path, content: ShownContent) -> ViewerScene:
-    """Describe a splat file, with classes if a taxonomy lies beside it."""
+def file_scene(path: Path) -> ViewerScene:
+    """Describe all of a splat file, with classes if its labels have a taxonomy or one is beside."""
     splats = read_splats(path)
     shown = _file_splats(splats)
-    tree = _tree_beside(path, splats.labels)
+    tree = _tree_of(path, splats)
     if tree is None:
         shown = ShownSplats(
             **{k: v for k, v in shown.columns().items() if k not in ("levels", "confidence")}
         )
-    return ViewerScene(path.name, shown.thinned(content.max_gaussians), len(splats), tree=tree)
+    return ViewerScene(path.name, shown, len(splats), tree=tree)
 
 
 def _file_splats(splats: Splats) -> ShownSplats:
@@ -111,19 +114,22 @@ def _file_splats(splats: Splats) -> ShownSplats:
         sigmas_m=np.exp(splats.log_radii),
         opacities=opacities.astype(np.float32),
         rgb=np.rint(255.0 * np.clip(splats.colours, 0.0, 1.0)).astype(np.uint8),
-        shapes=None if splats.ellipsoids is None else splats.ellipsoids.relative_covariances(),
+        **shape_columns(splats.ellipsoids),
         levels=None if labels is None else labels.levels,
         confidence=None if labels is None else labels.confidence,
         submap=None if submap is None else submap.astype(np.int32),
     )
 
 
-def _tree_beside(path: Path, labels: SplatLabels | None) -> ShownTree | None:
-    """Return the class tree of the run folder that a splat file lies in, or None."""
-    file = path.resolve().parent / "taxonomy.yaml"
-    if labels is None or not file.is_file():
+def _tree_of(path: Path, splats: Splats) -> ShownTree | None:
+    """Return the class tree of the labels, or of the run folder that the file lies in, or None."""
+    file, labels = path.resolve().parent / "taxonomy.yaml", splats.labels
+    if labels is None or (splats.taxonomy is None and not file.is_file()):
         return None
-    taxonomy = Taxonomy.load(file)
+    if splats.taxonomy is not None:
+        taxonomy = Taxonomy.from_json(splats.taxonomy, str(label_file_of(path)))
+    else:
+        taxonomy = Taxonomy.load(file)
     try:
         check_labels(labels, taxonomy)
     except FormatError as error:

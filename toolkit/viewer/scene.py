@@ -13,6 +13,9 @@ from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.viewer.thinning import thin, visibility
 
+# Stored coefficients of harmonics are this many times the real ones, which lie in [-1, 1] with few
+# exceptions.
+HARMONIC_STEPS = 127
 # Colours of Gaussians without a class, of measured content and of inferred content.
 UNKNOWN_RGB = (96, 100, 108)
 MEASURED_RGB = (66, 150, 250)
@@ -41,6 +44,9 @@ class ShownSplats:
         submap: [N] int32, or None.
         inferred: [N] bool, whether the position follows from a depth prior only; None if all is
             measured, or if the map does not store it.
+        harmonics: [N, K, 3] int8 coefficients of the spherical harmonics of the degrees 1 to 3 (K
+            is 3, 8 or 15), in units of 1 / `HARMONIC_STEPS`, added to the colour; None if colours
+            do not depend on the view.
 
     Raises:
         ValueError: shapes do not match.
@@ -55,6 +61,7 @@ class ShownSplats:
     confidence: NDArray[np.float32] | None = None
     submap: NDArray[np.int32] | None = None
     inferred: NDArray[np.bool_] | None = None
+    harmonics: NDArray[np.int8] | None = None
 
     def __post_init__(self) -> None:
         for name, values in self.columns().items():
@@ -68,8 +75,8 @@ class ShownSplats:
         """Return the arrays by name, without absent ones."""
         return {name: a for name, a in vars(self).items() if a is not None}
 
-    def select(self, index: NDArray) -> ShownSplats:
-        """Select Gaussians by a boolean mask [N] or integer indices [M]."""
+    def select(self, index: NDArray | slice) -> ShownSplats:
+        """Select Gaussians by a boolean mask [N], integer indices [M] or a range."""
         return ShownSplats(**{name: values[index] for name, values in self.columns().items()})
 
     def thinned(self, count: int, cameras_m: NDArray[np.float64] = _NO_CAMERAS) -> ShownSplats:
@@ -223,6 +230,10 @@ class ViewerScene:
         if not len(states):
             states = np.zeros(max(len(self.path) - 1, 0), np.uint8)
         return np.array(PATH_RGB, np.uint8)[states]
+
+    def thinned(self, count: int) -> ViewerScene:
+        """Return the scene with at most `count` Gaussians, the most visible first."""
+        return replace(self, splats=self.splats.thinned(count, self.path[:, :3, 3]))
 
     def class_path(self, splat: int) -> tuple[str, ...]:
         """Return the names from the root to the most specific known node of a Gaussian."""

@@ -42,13 +42,18 @@ def start_viser(host: str, port: int) -> Any:
             f"semsplat view needs viser ({error}); run: pip install 'semsplat[viewer]'"
         ) from error
     # viser would silently take the next free port.
-    port = _free_port(host, port)
+    port = free_port(host, port)
     # viser prints its address on stdout even if it is not verbose.
     with contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host=host, port=port, label="semsplat", verbose=False)
 
 
-def _free_port(host: str, port: int) -> int:
+def free_port(host: str, port: int) -> int:
+    """Return a port, or a free one for 0.
+
+    Raises:
+        SettingsError: the address or the port cannot be used.
+    """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         with socket.socket(family, socket.SOCK_STREAM) as probe:

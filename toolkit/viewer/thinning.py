@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from toolkit.io.morton import morton_codes
+
 # Distances to cameras count as at least this.
 _NEAREST_M = 0.3
 # Maximum factor by which Gaussians grow in place of their neighbours.
@@ -87,12 +89,6 @@ def _probabilities(weights: NDArray[np.float64], count: int) -> NDArray[np.float
 
 
 def _morton_order(means_m: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return the order of points along a Morton curve, on which neighbours are mostly close."""
-    low = means_m.min(axis=0)
-    extent = max(float((means_m.max(axis=0) - low).max()), 1e-9)
-    cells = ((means_m - low) / extent * ((1 << _ORDER_BITS) - 1)).astype(np.int64)
-    codes = np.zeros(len(cells), np.int64)
-    for bit in range(_ORDER_BITS):
-        for axis in range(3):
-            codes |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(codes, kind="stable")
+    low_m = means_m.min(axis=0)
+    side_m = max(float((means_m.max(axis=0) - low_m).max()), 1e-9)
+    return np.argsort(morton_codes(means_m, low_m, side_m, _ORDER_BITS), kind="stable")

@@ -138,7 +138,7 @@ def _write(
     text, frames = moved_frames(trajectory, frames, T_old, T_new, assembled.exposures)
     storage.write_bytes(storage.join(out, "trajectory.txt"), text)
     storage.write_bytes(storage.join(out, "frames.json"), _json(frames))
-    for name in ("taxonomy.yaml", "loops.jsonl"):
+    for name in ("taxonomy.yaml", "loops.jsonl", "saved_map.json"):
         if name in storage.names_in(source.place):
             content = storage.read_bytes(storage.join(source.place, name))
             storage.write_bytes(storage.join(out, name), content)

@@ -17,6 +17,7 @@ from toolkit.errors import FormatError, RunFolderError, SettingsError
 from toolkit.geometry import se3
 from toolkit.io import storage
 from toolkit.io.arrays import arrays_below
+from toolkit.io.splats import is_splat_file
 from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.semantics.factory import build_code
@@ -132,7 +133,7 @@ def read_json(place: str) -> dict[str, Any]:
 
 
 def _check_refinable(place: str, settings: RunSettings, taxonomy: Taxonomy | None) -> None:
-    if settings.map is not None:
+    if settings.map is not None and not is_splat_file(settings.map):
         raise SettingsError(
             f"{place} extends the map of another run, whose submaps are fixed; refine that run"
         )

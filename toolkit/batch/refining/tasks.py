@@ -25,6 +25,7 @@ from toolkit.loops.verification import VerificationLimits, rejection_reason
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import map_device
 from toolkit.runs.building import refinement_describer
+from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
@@ -165,10 +166,23 @@ def register_submap_pair(task: PairTask) -> PairResult:
 
 
 def refine_submap(task: SubmapTask) -> int:
-    """Optimise a submap over its keyframes, and store it; return its number of Gaussians."""
+    """Optimise a submap over its keyframes, and store it; return its number of Gaussians.
+
+    That of a splat file is only stored: its keyframes are renderings.
+    """
     work, settings = task.work, task.work.source.settings
     torch.set_num_threads(work.threads)
     submap = work.source.submap(task.number)
+    if settings.map is None or submap.keyframes[0].index >= 0:
+        submap = _refined(work, submap)
+    submap.optimiser.release()
+    arrays, values = work.source.unit.submap_in_metres(submap).state()
+    storage.write_tree(refined_place(work.out, task.number), arrays, values)
+    return len(submap.gaussians)
+
+
+def _refined(work: Work, submap: Submap) -> Submap:
+    settings = work.source.settings
     # Poses of keyframes stay, since those of the other frames refer to them.
     options = replace(
         settings.mapping,
@@ -180,7 +194,7 @@ def refine_submap(task: SubmapTask) -> int:
     mapper = Mapper(
         options,
         # One generator per submap, so that the order of the tasks does not matter.
-        np.random.default_rng((settings.seed, task.number)),
+        np.random.default_rng((settings.seed, submap.number)),
         settings.backend,
         None,
         work.source.semantics(),
@@ -189,11 +203,7 @@ def refine_submap(task: SubmapTask) -> int:
     )
     submap = submap.to(mapper.device)
     mapper.refine(submap)
-    submap = submap.to("cpu")
-    submap.optimiser.release()
-    arrays, values = work.source.unit.submap_in_metres(submap).state()
-    storage.write_tree(refined_place(work.out, task.number), arrays, values)
-    return len(submap.gaussians)
+    return submap.to("cpu")
 
 
 def refined_place(out: str, number: int) -> str:

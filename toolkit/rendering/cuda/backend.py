@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,71 +11,18 @@ import triton
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.errors import DependencyError
-from toolkit.gaussians.cloud import NO_LOW_PASS, GaussianCloud
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import BASE_CHANNELS
 from toolkit.rendering.backend import ForwardPass, GaussianGradients
-from toolkit.rendering.cuda import compositing, differentiation, reduction
+from toolkit.rendering.cuda import compositing, differentiation, ellipsoids, reduction
 from toolkit.rendering.cuda.binning import Binning, bin_gaussians
+from toolkit.rendering.cuda.tuning import Tuning, block_of
 from toolkit.rendering.device_transfer import TransferredForwardPass
 
-_SUMS = int(differentiation.SUMS.value)
+_SUMS, _SHAPED_SUMS = int(differentiation.SUMS.value), int(differentiation.SHAPED_SUMS.value)
 _REDUCED = 64  # Gaussians per program of the final reduction
-_ADDED = 16  # Gaussians per program that adds rows of feature gradients
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Kernel parameters that affect speed, memory and rounding.
-
-    They are fixed instead of tuned at run time, because a selection by timing would change the
-    order of sums between runs.
-
-    Attributes:
-        side: side of a tile in pixels, 8 or 16.
-        batch: number of Gaussians composited at once, a power of two >= 16.
-        channels_forward, channels_backward: maximum number of feature channels per block, powers
-            of two >= 16. The backward kernel always uses the maximum, because narrow matrix
-            products spill registers.
-        warps, narrow_warps: number of warps of the compositing kernels. The latter is used for at
-            most 32 feature channels (forward) or none (backward). Two warps cover the 64 pixels
-            of a tile, so that scans and sums over a batch need no barrier.
-        precision: Triton's input precision of matrix products. "tf32" rounds features, weights
-            and image gradients to 11 bits; "tf32x3" and "ieee" keep float32 and are slower.
-            Colour, depth, silhouette, centres and the moments for the gradients of means and
-            radii are always float32.
-        scratch_bytes: maximum memory for the feature gradients of all pairs. Channels are
-            processed in parts that fit; each part computes all alphas again.
-    """
-
-    side: int = 8
-    batch: int = 16
-    channels_forward: int = 128
-    channels_backward: int = 32
-    warps: int = 4
-    narrow_warps: int = 2
-    precision: Literal["tf32", "tf32x3", "ieee"] = "tf32"
-    scratch_bytes: int = 2**32
-
-    def forward_warps(self, block: int) -> int:
-        """Return the number of warps of the forward kernel for a block of feature channels."""
-        return self.narrow_warps if block <= 32 else self.warps
-
-    def backward_warps(self, channels: int) -> int:
-        """Return the number of warps of the backward kernel for a number of feature channels."""
-        return self.narrow_warps if channels == 0 else self.warps
-
-    def channels_at_once(self, pairs: int) -> int:
-        """Return how many channels fit in the scratch memory, rounded down to whole blocks."""
-        most = max(1, self.scratch_bytes // (4 * max(1, pairs)))
-        block = self.channels_backward
-        return most if most < block else most - most % block
-
-
-def block_of(channels: int, most: int) -> int:
-    """Return the number of feature channels per block: a power of two >= 16, or 0 for none."""
-    return 0 if channels == 0 else min(most, max(16, triton.next_power_of_2(channels)))
+_ADDED = 16  # Gaussians per program that adds rows of gradients
 
 
 def on(device: torch.device) -> contextlib.AbstractContextManager[None]:
@@ -96,8 +42,16 @@ class _ForwardState:
 class CudaForwardPass:
     """A view rendered by the Triton kernels, with the state for its backward pass."""
 
-    def __init__(self, cloud: GaussianCloud, camera: Camera, binning: Binning, tuning: Tuning):
-        self._cloud, self._camera = cloud, camera
+    def __init__(
+        self,
+        cloud: GaussianCloud,
+        camera: Camera,
+        T_camera_map: NDArray[np.float64],
+        binning: Binning,
+        tuning: Tuning,
+    ):
+        self._cloud, self._camera, self._T_camera_map = cloud, camera, T_camera_map
+        self._shaped = ellipsoids.is_shaped(cloud)
         self._binning, self._tuning = binning, tuning
         self.images = torch.empty(0)
         self._forward_state: _ForwardState | None = None
@@ -137,6 +91,7 @@ class CudaForwardPass:
             BATCH=tuning.batch,
             BLOCK_C=block,
             CENTRES=centres,
+            SHAPED=self._shaped,
             PRECISION=tuning.precision,
             num_warps=tuning.forward_warps(block),
         )
@@ -156,14 +111,17 @@ class CudaForwardPass:
         by_images = image_gradients.detach().to(device, torch.float32).contiguous()
         visible = len(bins.ids)
         features = torch.empty(visible, channels, device=device)
-        sums = torch.empty(len(bins.rows), _SUMS, device=device)
+        width = _SHAPED_SUMS if self._shaped else _SUMS
+        # The tiles of ellipsoids do not write all rows; see `list_pairs`.
+        create = torch.zeros if self._shaped else torch.empty
+        sums = create(len(bins.rows), width, device=device)
         if not visible:
             return self._finished(sums, features, colours)
         with on(device):
             width = self._tuning.channels_at_once(len(bins.rows))
             for first in range(0, max(1, channels), width):
                 last = min(first + width, channels)
-                rows = torch.empty(len(bins.rows), last - first, device=device)
+                rows = create(len(bins.rows), last - first, device=device)
                 self._differentiate(by_images, sums, rows, (first, last, channels), not detached)
                 self._add_rows(rows, features, first)
             return self._finished(sums, features, colours)
@@ -202,6 +160,7 @@ class CudaForwardPass:
             BLOCK_C=tuning.channels_backward if channels else 0,
             GEOMETRY=first == 0,
             MOVE=move and first == 0 and channels > 0,
+            SHAPED=self._shaped,
             PRECISION=tuning.precision,
             num_warps=tuning.backward_warps(channels),
         )
@@ -226,6 +185,8 @@ class CudaForwardPass:
 
     def _finished(self, sums: Tensor, features: Tensor, colours: bool) -> GaussianGradients:
         """Apply the chain rule to the sums of the pairs: gradients of parameters and pose."""
+        if self._shaped:
+            return self._finished_shapes(sums, features, colours)
         bins, device, visible = self._binning, sums.device, len(self._binning.ids)
         blocks = triton.cdiv(visible, _REDUCED)
         pose = torch.zeros(max(1, blocks), 12, dtype=torch.float64, device=device)
@@ -265,6 +226,15 @@ class CudaForwardPass:
             T_camera_map=pose.sum(dim=0).view(3, 4),
         )
 
+    def _finished_shapes(self, sums: Tensor, features: Tensor, colours: bool) -> GaussianGradients:
+        totals = torch.empty(len(self._binning.ids), _SHAPED_SUMS, device=sums.device)
+        if len(totals):
+            self._add_rows(sums, totals, 0)
+        found = ellipsoids.gradients_of(
+            self._cloud, self._camera, self._T_camera_map, self._binning.ids, totals
+        )
+        return replace(found, colours=found.colours if colours else None, features=features)
+
 
 def interpreted() -> bool:
     """Check whether Triton interprets kernels (TRITON_INTERPRET=1 was set at import)."""
@@ -288,34 +258,17 @@ class CudaRenderer:
         region: Tensor | None,
         centres: bool = False,
     ) -> ForwardPass:
-        """See Backend.forward.
-
-        Raises:
-            DependencyError: the Gaussians are ellipsoids, or have a low-pass.
-        """
-        if gaussians.ellipsoids is not None or gaussians.low_pass != NO_LOW_PASS:
-            raise DependencyError(
-                "the cuda backend renders unfiltered spheres only; use --backend native or gsplat"
-            )
+        """See Backend.forward."""
         home = gaussians.means.device
         device = home if home.type == "cuda" or interpreted() else torch.device("cuda")
         if features is None:
             features = gaussians.means.new_zeros(len(gaussians), 0)
-        cloud = GaussianCloud(
-            *(
-                t.detach().to(device, torch.float32).contiguous()
-                for t in (
-                    gaussians.means,
-                    gaussians.log_radii,
-                    gaussians.opacity_logits,
-                    gaussians.colours,
-                    features,
-                )
-            )
+        cloud = replace(gaussians, features=features).mapped(
+            lambda tensor: tensor.detach().to(device, torch.float32).contiguous()
         )
         region = None if region is None else region.to(device, torch.uint8).contiguous()
         with on(device):
             binning = bin_gaussians(cloud, camera, T_camera_map, region, self._tuning.side)
-            forward_pass = CudaForwardPass(cloud, camera, binning, self._tuning)
+            forward_pass = CudaForwardPass(cloud, camera, T_camera_map, binning, self._tuning)
             forward_pass.render(centres)
         return forward_pass if device == home else TransferredForwardPass(forward_pass, home)

@@ -13,7 +13,7 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import TILE
-from toolkit.rendering.cuda import projection
+from toolkit.rendering.cuda import ellipsoids, projection
 
 _BLOCK = 128  # Gaussians per program
 
@@ -27,10 +27,10 @@ class Binning:
 
     Attributes:
         view: [16] float32, see projection.VIEW.
-        splats: [N, 8] float32, valid for visible Gaussians.
+        splats: [N, 8] float32, or [N, 12] if the Gaussians are shaped; valid for visible ones.
         ids: [V] int64, ascending ids of the visible Gaussians.
         begins, counts: [V] int64, int32: first row and number of rows of each visible Gaussian.
-        row_tiles: [P] int16 or int32, the tile of each row.
+        row_tiles: [P] int16 or int32, the tile of each row; `tiles` for rows that no tile writes.
         gaussians, rows: [P] int32, int64, Gaussian and row of each pair, sorted by tile and then
             front to back.
         tile_begins: [tiles + 1] int32, index of the first pair of each tile.
@@ -63,7 +63,7 @@ class _Projected:
     """Projected Gaussians; the other values of a Gaussian are undefined if its count is 0.
 
     Attributes:
-        view: [16] float32. splats: [N, 8] float32.
+        view: [16] float32. splats: [N, 8] or [N, 12] float32.
         rectangles: [N, 4] int16, rectangle of tiles: x, y, columns, rows.
         counts: [N] int32, number of intersected tiles.
     """
@@ -112,7 +112,12 @@ def bin_gaussians(
         side: side of a tile in pixels, a divisor of 16.
     """
     grid = _Grid(camera, side, region)
-    projected = _projected(cloud, view_of(camera, T_camera_map, cloud.means.device), grid)
+    view = view_of(camera, T_camera_map, cloud.means.device)
+    if ellipsoids.is_shaped(cloud):
+        splats = ellipsoids.splats_of(cloud, camera, T_camera_map)
+        projected = _covered(splats, view, grid)
+    else:
+        projected = _projected(cloud, view, grid)
     ids = projected.counts.nonzero().squeeze(1)
     order = torch.sort(projected.splats[ids, 7], stable=True).indices
     counts = projected.counts[ids]
@@ -139,14 +144,39 @@ def bin_gaussians(
     )
 
 
-def _projected(cloud: GaussianCloud, view: Tensor, grid: _Grid) -> _Projected:
-    count, device = len(cloud), view.device
-    out = _Projected(
+def _around(splats: Tensor, view: Tensor) -> _Projected:
+    count, device = len(splats), view.device
+    return _Projected(
         view,
-        splats=torch.empty(count, int(projection.SPLAT.value), device=device),
+        splats,
         rectangles=torch.empty(count, 4, dtype=torch.int16, device=device),
         counts=torch.empty(count, dtype=torch.int32, device=device),
     )
+
+
+def _covered(splats: Tensor, view: Tensor, grid: _Grid) -> _Projected:
+    count, out = len(splats), _around(splats, view)
+    if count:
+        projection.cover[(triton.cdiv(count, _BLOCK),)](
+            splats,
+            view if grid.region is None else grid.region,
+            out.rectangles,
+            out.counts,
+            count,
+            grid.camera.width,
+            grid.camera.height,
+            grid.region_columns,
+            SIDE=grid.side,
+            HAS_REGION=grid.region is not None,
+            BLOCK=_BLOCK,
+        )
+    return out
+
+
+def _projected(cloud: GaussianCloud, view: Tensor, grid: _Grid) -> _Projected:
+    count = len(cloud)
+    splats = torch.empty(count, int(projection.SPLAT.value), device=view.device)
+    out = _around(splats, view)
     if count:
         projection.project[(triton.cdiv(count, _BLOCK),)](
             view,
@@ -184,6 +214,7 @@ def _pairs(
     gaussians = torch.empty(pairs, dtype=torch.int32, device=device)
     if pairs:
         projection.list_pairs[(triton.cdiv(visible, _BLOCK),)](
+            projected.splats,
             *by_depth,
             projected.rectangles,
             projected.view if grid.region is None else grid.region,
@@ -191,9 +222,11 @@ def _pairs(
             gaussians,
             visible,
             grid.columns,
+            grid.tiles,
             grid.region_columns,
             SIDE=grid.side,
             HAS_REGION=grid.region is not None,
+            SHAPED=projected.splats.shape[1] == projection.SHAPED_SPLAT.value,
             BLOCK=_BLOCK,
         )
     return tiles, gaussians

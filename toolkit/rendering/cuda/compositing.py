@@ -14,7 +14,9 @@ from toolkit.rendering.cuda.tiles import (
     checkpoints_of,
     colour_and_depth,
     cut,
+    depths_of,
     pixels_of,
+    splats_at,
 )
 
 MIN_TRANSMITTANCE = tl.constexpr(constants.MIN_TRANSMITTANCE)
@@ -45,6 +47,7 @@ def composite(
     BATCH: tl.constexpr,
     BLOCK_C: tl.constexpr,
     CENTRES: tl.constexpr,
+    SHAPED: tl.constexpr,
     PRECISION: tl.constexpr,
 ):
     """Composite images [5 + S, H, W] and centres [3, H, W]; a program handles one channel block.
@@ -70,16 +73,18 @@ def composite(
         pair = begin + done * BATCH + tl.arange(0, BATCH)
         valid = pair < end
         gaussian = tl.load(pair_gaussians + pair, mask=valid, other=0).to(tl.int64)
-        alpha, keep = cut(alphas_of(splats, gaussian, valid, x, y))
+        splat = splats_at(splats, gaussian, SHAPED)
+        raw, s, t = alphas_of(splat, valid, x, y, SHAPED)
+        alpha, keep = cut(raw)
         passed = tl.cumprod(keep, axis=0)
         weight = alpha * (left[None, :] * passed / keep)
         if block == 0:
             tl.store(checkpoint + done * PIXELS, left)
-            r, g, b, z = colour_and_depth(splats, gaussian, valid)
+            r, g, b, z = colour_and_depth(splat, valid)
             red += _blend(weight, r)
             green += _blend(weight, g)
             blue += _blend(weight, b)
-            depth += _blend(weight, z)
+            depth += tl.sum(weight * depths_of(splat, valid, z, s, t, SHAPED), axis=0)
             if CENTRES:
                 at = means + 3 * gaussian
                 centre_x += _blend(weight, tl.load(at, mask=valid, other=0.0))

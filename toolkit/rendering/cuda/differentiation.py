@@ -14,10 +14,13 @@ from toolkit.rendering.cuda.tiles import (
     checkpoints_of,
     colour_and_depth,
     cut,
+    depths_of,
     pixels_of,
+    splats_at,
 )
 
 SUMS = tl.constexpr(8)  # floats per pair; see `differentiate`
+SHAPED_SUMS = tl.constexpr(12)
 TF32_BITS = tl.constexpr(-8192)  # mask without the 13 bits that TF32 drops
 WIDE = tl.constexpr(16)  # minimum width of a matrix product
 
@@ -49,6 +52,7 @@ def _clear(
     feature_rows,
     width,
     BATCH: tl.constexpr,
+    WIDTH: tl.constexpr,
     BLOCK_C: tl.constexpr,
     GEOMETRY: tl.constexpr,
 ):
@@ -58,8 +62,10 @@ def _clear(
         row = tl.load(pair_rows + pair, mask=pair < end, other=0)[:, None]
         valid = (pair < end)[:, None]
         if GEOMETRY:
-            entry = row * SUMS + tl.arange(0, SUMS)[None, :]
-            tl.store(sums + entry, tl.zeros([BATCH, SUMS], dtype=tl.float32), mask=valid)
+            COLUMNS: tl.constexpr = SUMS if WIDTH == SUMS else WIDE
+            entry = tl.arange(0, COLUMNS)[None, :]
+            empty = tl.zeros([BATCH, COLUMNS], dtype=tl.float32)
+            tl.store(sums + row * WIDTH + entry, empty, mask=valid & (entry < WIDTH))
         if BLOCK_C > 0:
             for c in range(0, width, BLOCK_C):
                 column = c + tl.arange(0, BLOCK_C)[None, :]
@@ -141,6 +147,25 @@ def _in_moments(slope, basis):
 
 
 @triton.jit
+def _column(values, ones, column: tl.constexpr):
+    """Return the sums of values [batch, pixels] over pixels as one column of [batch, 16]."""
+    return tl.where(tl.arange(0, WIDE)[None, :] == column, _in_moments(values, ones), 0.0)
+
+
+@triton.jit
+def _shaped_moments(slope, by_depth, s, t, ones):
+    """Return sums over pixels [batch, 16].
+
+    Columns 0 to 3 sum the slope times 1, s, t, s^2; columns 8 and 9 the slope times s t, t^2;
+    columns 10 and 11 by_depth times s, t.
+    """
+    in_s, in_t = slope * s, slope * t
+    found = _column(slope, ones, 0) + _column(in_s, ones, 1) + _column(in_t, ones, 2)
+    found += _column(in_s * s, ones, 3) + _column(in_s * t, ones, 8) + _column(in_t * t, ones, 9)
+    return found + _column(by_depth * s, ones, 10) + _column(by_depth * t, ones, 11)
+
+
+@triton.jit
 def differentiate(
     splats,
     features,
@@ -163,18 +188,22 @@ def differentiate(
     BLOCK_C: tl.constexpr,
     GEOMETRY: tl.constexpr,
     MOVE: tl.constexpr,
+    SHAPED: tl.constexpr,
     PRECISION: tl.constexpr,
 ):
     """Compute the sums of every pair of one tile, back to front, and write them to its row.
 
     sums [P, 8]: alpha dL/dalpha times 1, x, y, x^2 + y^2 (pixels from the tile's centre),
-    then weight times dL/d(red, green, blue, depth). feature_rows [P, last - first]: dL/df of
+    then weight times dL/d(red, green, blue, depth). If SHAPED, [P, 12]: alpha dL/dalpha times
+    1, s, t, s^2, then the same four, alpha dL/dalpha times s t, t^2, and weight times dL/d(depth)
+    times s, t. feature_rows [P, last - first]: dL/df of
     the feature channels from `first` to `last`. With w_k = alpha_k T_k and d = dL/d(pixel),
     dL/dalpha_k = T_k <f_k, d> - S_k / (1 - alpha_k), where S_k sums w_j <f_j, d> over all j
     behind k, starting with the term of the silhouette. With MOVE, f and d include the feature
     channels. Without GEOMETRY only the feature rows are written.
     """
     PIXELS: tl.constexpr = SIDE * SIDE
+    WIDTH: tl.constexpr = SHAPED_SUMS if SHAPED else SUMS
     tile = tl.program_id(0)
     x, y, inside = pixels_of(tile, width, height, SIDE)
     begin, end = tl.load(tile_begins + tile), tl.load(tile_begins + tile + 1)
@@ -184,10 +213,10 @@ def differentiate(
     pixel_gradients = by_images + y * width + x
     wide = tl.arange(0, WIDE)
     if GEOMETRY:
-        basis = _moments(SIDE)
+        basis = tl.full([PIXELS, WIDE], 1.0, dtype=tl.float32) if SHAPED else _moments(SIDE)
         by_base = tl.load(
             pixel_gradients[:, None] + (wide - 4)[None, :] * plane,
-            mask=inside[:, None] & ((wide >= 4) & (wide < SUMS))[None, :],
+            mask=inside[:, None] & ((wide >= 4) & (wide < 8))[None, :],
             other=0.0,
         )
         by_red = tl.load(pixel_gradients, mask=inside, other=0.0)
@@ -197,14 +226,15 @@ def differentiate(
         left_over = tl.load(transmittance + tile.to(tl.int64) * PIXELS + tl.arange(0, PIXELS))
         behind = -left_over * tl.load(pixel_gradients + 4 * plane, mask=inside, other=0.0)
     rest = begin + used * BATCH
-    _clear(pair_rows, rest, end, sums, feature_rows, last - first, BATCH, BLOCK_C, GEOMETRY)
+    _clear(pair_rows, rest, end, sums, feature_rows, last - first, BATCH, WIDTH, BLOCK_C, GEOMETRY)
     for i in range(used):
         number = used - 1 - i
         pair = begin + number * BATCH + tl.arange(0, BATCH)
         valid = pair < end
         gaussian = tl.load(pair_gaussians + pair, mask=valid, other=0).to(tl.int64)
         row = tl.load(pair_rows + pair, mask=valid, other=0)
-        raw = alphas_of(splats, gaussian, valid, x, y)
+        splat = splats_at(splats, gaussian, SHAPED)
+        raw, s, t = alphas_of(splat, valid, x, y, SHAPED)
         alpha, keep = cut(raw)
         # From what the forward pass left here: no division by what was let through.
         left = tl.load(checkpoint + number * PIXELS)
@@ -230,13 +260,16 @@ def differentiate(
                 PRECISION,
             )
         if GEOMETRY:
-            r, g, b, z = colour_and_depth(splats, gaussian, valid)
+            r, g, b, z = colour_and_depth(splat, valid)
             product += r[:, None] * by_red[None, :]
             product += g[:, None] * by_green[None, :]
             product += b[:, None] * by_blue[None, :]
-            product += z[:, None] * by_depth[None, :]
+            product += depths_of(splat, valid, z, s, t, SHAPED) * by_depth[None, :]
             slope, behind = _slopes(raw, before, product, behind)
-            found = _in_moments(slope, basis)
+            if SHAPED:
+                found = _shaped_moments(slope, weight * by_depth[None, :], s, t, basis)
+            else:
+                found = _in_moments(slope, basis)
             found = tl.dot(weight, by_base, found, input_precision=PRECISION)
-            entry = row[:, None] * SUMS + wide[None, :]
-            tl.store(sums + entry, found, mask=valid[:, None] & (wide < SUMS)[None, :])
+            entry = row[:, None] * WIDTH + wide[None, :]
+            tl.store(sums + entry, found, mask=valid[:, None] & (wide < WIDTH)[None, :])

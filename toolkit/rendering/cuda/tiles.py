@@ -4,7 +4,7 @@ import triton
 import triton.language as tl
 
 from toolkit.native import constants
-from toolkit.rendering.cuda.projection import SPLAT
+from toolkit.rendering.cuda.projection import SHAPED_SPLAT, SPLAT
 
 MIN_ALPHA = tl.constexpr(constants.MIN_ALPHA)
 MAX_ALPHA = tl.constexpr(constants.MAX_ALPHA)
@@ -22,16 +22,30 @@ def pixels_of(tile, width, height, SIDE: tl.constexpr):
 
 
 @triton.jit
-def alphas_of(splats, gaussian, valid, x, y):
-    """Return alphas [batch, pixels] before thresholding and clamping, 0 for invalid pairs."""
-    at = splats + gaussian * SPLAT
-    u = tl.load(at, mask=valid, other=0.0)
-    v = tl.load(at + 1, mask=valid, other=0.0)
-    exponent = tl.load(at + 2, mask=valid, other=0.0)
-    opacity = tl.load(at + 3, mask=valid, other=0.0)
+def splats_at(splats, gaussian, SHAPED: tl.constexpr):
+    """Return pointers [batch] to the splats of Gaussians."""
+    return splats + gaussian * (SHAPED_SPLAT if SHAPED else SPLAT)
+
+
+@triton.jit
+def alphas_of(splat, valid, x, y, SHAPED: tl.constexpr):
+    """Return alphas [batch, pixels] before thresholding and clamping, 0 for invalid pairs.
+
+    Also return the coordinates [batch, pixels] of the pixels, relative to the centre; if SHAPED,
+    they are s and t of `ellipsoids`, in which the Gaussian is round.
+    """
+    u = tl.load(splat, mask=valid, other=0.0)
+    v = tl.load(splat + 1, mask=valid, other=0.0)
+    scale = tl.load(splat + 2, mask=valid, other=0.0)
+    opacity = tl.load(splat + 3, mask=valid, other=0.0)
     dx = x.to(tl.float32)[None, :] - u[:, None]
     dy = y.to(tl.float32)[None, :] - v[:, None]
-    return opacity[:, None] * tl.exp(exponent[:, None] * (dx * dx + dy * dy))
+    if SHAPED:
+        skew = tl.load(splat + 8, mask=valid, other=0.0)
+        height = tl.load(splat + 9, mask=valid, other=0.0)
+        s, t = scale[:, None] * dx + skew[:, None] * dy, height[:, None] * dy
+        return opacity[:, None] * tl.exp(-(s * s + t * t)), s, t
+    return opacity[:, None] * tl.exp(scale[:, None] * (dx * dx + dy * dy)), dx, dy
 
 
 @triton.jit
@@ -42,13 +56,23 @@ def cut(raw):
 
 
 @triton.jit
-def colour_and_depth(splats, gaussian, valid):
+def colour_and_depth(splat, valid):
     """Load red, green, blue and depth [batch] of Gaussians."""
-    at = splats + gaussian * SPLAT + 4
-    red = tl.load(at, mask=valid, other=0.0)
-    green = tl.load(at + 1, mask=valid, other=0.0)
-    blue = tl.load(at + 2, mask=valid, other=0.0)
-    return red, green, blue, tl.load(at + 3, mask=valid, other=0.0)
+    red = tl.load(splat + 4, mask=valid, other=0.0)
+    green = tl.load(splat + 5, mask=valid, other=0.0)
+    blue = tl.load(splat + 6, mask=valid, other=0.0)
+    return red, green, blue, tl.load(splat + 7, mask=valid, other=0.0)
+
+
+@triton.jit
+def depths_of(splat, valid, z, s, t, SHAPED: tl.constexpr):
+    """Return depths [batch, pixels], or [batch, 1] of spheres, which have one depth."""
+    depth = z[:, None]
+    if SHAPED:
+        along_s = tl.load(splat + 10, mask=valid, other=0.0)
+        along_t = tl.load(splat + 11, mask=valid, other=0.0)
+        depth += along_s[:, None] * s + along_t[:, None] * t
+    return depth
 
 
 @triton.jit

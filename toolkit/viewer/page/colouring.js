@@ -10,7 +10,8 @@ const CONFIDENCE_STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 
 function colourModes(scene) {
   const modes = [["colour", "Colour"]];
   if (scene.levels.length) modes.push(["classes", "Classes"]);
-  if (scene.submap && new Set(scene.submap).size > 1) modes.push(["submaps", "Submaps"]);
+  const submaps = scene.tallies ? scene.tallies.submaps.length : new Set(scene.submap).size;
+  if (scene.submap && submaps > 1) modes.push(["submaps", "Submaps"]);
   if (scene.confidence) modes.push(["confidence", "Confidence"]);
   if (scene.inferred) modes.push(["source", "Source"]);
   return modes;
@@ -48,28 +49,39 @@ class Colouring {
     return key ? "inferred (depth prior)" : "measured";
   }
 
+  /** Numbers of Gaussians by their value in the legend; of a streamed map, of all of it. */
+  counts() {
+    const { count, tallies } = this.scene;
+    const counts = new Map();
+    const addTo = (key, number) => counts.set(key, (counts.get(key) ?? 0) + number);
+    if (!tallies) for (let i = 0; i < count; i++) addTo(this.keyOf(i), 1);
+    else if (this.mode === "classes") {
+      for (const [nodes, number] of tallies.classes) addTo(nodes[this.level], number);
+    } else for (const [key, number] of tallies[this.mode]) addTo(key, number);
+    return counts;
+  }
+
   /** Entries of the legend, most frequent first. */
   legend() {
-    const { count } = this.scene;
-    if (this.keyOf(0) === null) return [];
-    const counts = new Map();
-    for (let i = 0; i < count; i++) {
-      const key = this.keyOf(i);
-      counts.set(key, (counts.get(key) ?? 0) + 1);
-    }
-    const entries = [...counts].map(([key, number]) => ({
-      key, name: this.nameOf(key), rgb: this.colourOf(key), fraction: number / count,
+    const { total, count, tallies } = this.scene;
+    if (!["classes", "submaps", "source"].includes(this.mode)) return [];
+    const entries = [...this.counts()].map(([key, number]) => ({
+      key, name: this.nameOf(key), rgb: this.colourOf(key), fraction: number / (tallies ? total : count),
     }));
     if (this.mode === "submaps") return entries.sort((a, b) => a.key - b.key);
     return entries.sort((a, b) => (a.key === NO_NODE) - (b.key === NO_NODE) || b.fraction - a.fraction);
   }
 
-  /** Colours [4 N] of all Gaussians. */
-  rgba() {
+  /** Whether colours are those that were observed, to which harmonics can be added. */
+  get observed() { return this.mode === "colour" && !this.highlighted; }
+
+  /** Colours of the Gaussians `first` to `end`, four bytes each. */
+  rgba(first, end) {
     const { scene, highlighted } = this;
-    const result = new Uint8Array(4 * scene.count);
+    if (this.observed) return scene.rgba.subarray(4 * first, 4 * end);
+    const result = new Uint8Array(4 * (end - first));
     const known = new Map();
-    for (let i = 0; i < scene.count; i++) {
+    for (let i = first; i < end; i++) {
       const observed = scene.rgba.subarray(4 * i, 4 * i + 4);
       let rgb = observed;
       if (this.mode === "confidence") rgb = confidenceColour(scene.confidence[i]);
@@ -90,8 +102,9 @@ class Colouring {
         shade = DIMMED_BRIGHTNESS;
         opacity = DIMMED_OPACITY;
       }
-      for (let c = 0; c < 3; c++) result[4 * i + c] = Math.min(shade * rgb[c], 255);
-      result[4 * i + 3] = opacity * observed[3];
+      const place = 4 * (i - first);
+      for (let c = 0; c < 3; c++) result[place + c] = Math.min(shade * rgb[c], 255);
+      result[place + 3] = opacity * observed[3];
     }
     return result;
   }
@@ -109,6 +122,7 @@ class Colouring {
     this.highlighted = text.trim() ? {
       keys: new Set(byLevel[this.level]),
       matches: (i) => byLevel.some((set, level) => set.has(this.scene.levels[level][i])),
+      matchesNodes: (path) => byLevel.some((set, level) => set.has(path[level])),
       rgb: (i) => {
         const level = byLevel.findIndex((set, l) => set.has(this.scene.levels[l][i]));
         return this.scene.tree.nodes[this.scene.levels[level][i]].rgb;
@@ -117,9 +131,15 @@ class Colouring {
     return nodes;
   }
 
-  /** Number of highlighted Gaussians. */
+  /** Number of Gaussians that the text highlights; of a streamed map, of all of it. */
   highlightedCount() {
     let number = 0;
+    if (this.scene.tallies) {
+      for (const [nodes, count] of this.scene.tallies.classes) {
+        number += this.highlighted.matchesNodes(nodes) ? count : 0;
+      }
+      return number;
+    }
     for (let i = 0; i < this.scene.count; i++) number += this.highlighted.matches(i) ? 1 : 0;
     return number;
   }

@@ -1,16 +1,22 @@
 // Shaders, and their compilation.
 
+// Gaussians per row of the textures; a Gaussian takes one or several texels of its row.
+const ROW = 2048;
+
 // Splats are squares that cover a projected Gaussian up to the visible threshold. Positions and
 // colours come from textures, because a vertex only knows the number of its Gaussian.
 const SPLAT_VERTEX = `#version 300 es
 precision highp float;
 precision highp sampler2D;
+precision highp usampler2D;
 layout(location = 0) in vec2 corner;
 layout(location = 1) in uint splat;
-uniform sampler2D positions;  // x, y, z, sigma
-uniform sampler2D shapes;     // two texels: xx, xy, xz, yy | yz, zz
+uniform sampler2D positions;   // x, y, z, sigma
+uniform sampler2D shapes;      // two texels: xx, xy, xz, yy | yz, zz
 uniform sampler2D colours;
+uniform usampler2D harmonics;  // one texel per degree, signed bytes: red, green, blue of each
 uniform bool anisotropic;
+uniform int degree;            // of the harmonics, 0 for colours that do not depend on the view
 uniform mat3 rotation;        // map to camera
 uniform vec3 eye;
 uniform float focal;          // pixels
@@ -22,14 +28,47 @@ const float NEAR = ${NEAR_M.toFixed(3)};
 // Variance of the pixel, in square pixels, as usual for Gaussian splatting.
 const float PIXEL_VARIANCE = 0.3;
 
-ivec2 texel(int index, int width) { return ivec2(index % width, index / width); }
+const int ROW = ${ROW};
+
+/** Place of the first of some texels of this Gaussian. */
+ivec2 texel(int texels) { return ivec2(texels * (int(splat) % ROW), int(splat) / ROW); }
+
+/** What the harmonics add to the colour, seen along d; signs and order are those of 3DGS. */
+vec3 harmonicColour(vec3 d) {
+  float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+  float basis[15] = float[15](
+    -0.48860251 * y, 0.48860251 * z, -0.48860251 * x,
+    1.09254843 * x * y, -1.09254843 * y * z, 0.31539157 * (2.0 * zz - xx - yy),
+    -1.09254843 * x * z, 0.54627422 * (xx - yy),
+    -0.59004359 * y * (3.0 * xx - yy), 2.89061144 * x * y * z,
+    -0.45704580 * y * (4.0 * zz - xx - yy), 0.37317633 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+    -0.45704580 * x * (4.0 * zz - xx - yy), 1.44530572 * z * (xx - yy),
+    -0.59004359 * x * (xx - 3.0 * yy));
+  uint words[12];
+  for (int i = 0; i < degree; i++) {
+    uvec4 four = texelFetch(harmonics, texel(degree) + ivec2(i, 0), 0);
+    words[4 * i] = four.x;
+    words[4 * i + 1] = four.y;
+    words[4 * i + 2] = four.z;
+    words[4 * i + 3] = four.w;
+  }
+  vec3 sum = vec3(0.0);
+  for (int k = 0; k < degree * (degree + 2); k++) {
+    for (int c = 0; c < 3; c++) {
+      int place = 3 * k + c;
+      // Shifted to the top and back, which extends the sign.
+      int value = int(words[place / 4] << uint(24 - 8 * (place % 4))) >> 24;
+      sum[c] += basis[k] * float(value);
+    }
+  }
+  return sum / 127.0;
+}
 
 vec3 covariance(vec3 p, float sigma) {
   float s = focal / p.z;
   if (!anisotropic) return vec3(s * s * sigma * sigma, 0.0, s * s * sigma * sigma);
-  int width = textureSize(shapes, 0).x;
-  vec4 a = texelFetch(shapes, texel(2 * int(splat), width), 0);
-  vec4 b = texelFetch(shapes, texel(2 * int(splat) + 1, width), 0);
+  vec4 a = texelFetch(shapes, texel(2), 0);
+  vec4 b = texelFetch(shapes, texel(2) + ivec2(1, 0), 0);
   mat3 shape = mat3(a.x, a.y, a.z, a.y, a.w, b.x, a.z, b.x, b.y);
   // The projection is linearised at the centre; far outside the image this is not valid.
   vec2 limit = 0.65 * viewport / focal;
@@ -42,12 +81,12 @@ vec3 covariance(vec3 p, float sigma) {
 
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);  // outside
-  int width = textureSize(positions, 0).x;
-  vec4 stored = texelFetch(positions, texel(int(splat), width), 0);
+  vec4 stored = texelFetch(positions, texel(1), 0);
   vec3 p = rotation * (stored.xyz - eye);
   if (p.z < NEAR) return;
-  colour = texelFetch(colours, texel(int(splat), width), 0);
+  colour = texelFetch(colours, texel(1), 0);
   if (colour.a < 1.0 / 255.0) return;
+  if (degree > 0) colour.rgb = clamp(colour.rgb + harmonicColour(normalize(stored.xyz - eye)), 0.0, 1.0);
 
   vec3 v = covariance(p, stored.w) + vec3(PIXEL_VARIANCE, 0.0, PIXEL_VARIANCE);
   float middle = 0.5 * (v.x + v.z);

@@ -68,7 +68,7 @@ function loopSegments(loops) {
 
 /** Length of the frusta in metres: small beside the room. */
 function frustumDepth(scene) {
-  return clamp(0.009 * norm(scene.extent), 0.03, 0.3);
+  return clamp(0.009 * norm(scene.box.extent), 0.03, 0.3);
 }
 
 function frustumSegments(scene, chosen) {

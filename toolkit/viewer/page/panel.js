@@ -20,7 +20,9 @@ class Panel {
     this.buildSearch();
     this.buildLayers();
     this.buildButtons();
-    this.refresh();
+    if (scene.highlight) byId("query").value = scene.highlight;
+    if (scene.highlight) this.search(scene.highlight);
+    else this.refresh();
   }
 
   buildNotes() {
@@ -211,8 +213,9 @@ class Panel {
   }
 }
 
-function countsText({ count, total }) {
+function countsText({ count, total, stream }) {
   const number = (value) => value.toLocaleString("en");
+  if (stream) return `${number(total)} Gaussians, at most ${number(stream.budget)} at once`;
   return count < total ? `${number(count)} of ${number(total)} Gaussians` : `${number(count)} Gaussians`;
 }
 

@@ -11,16 +11,18 @@ function pickSplat(scene, camera, x, y) {
   const { focal } = camera;
   const u = (x - camera.width / 2) / focal, v = (y - camera.height / 2) / focal;
   const hits = [];
-  for (let i = 0; i < scene.count; i++) {
-    const p = [scene.means[3 * i] - eye[0], scene.means[3 * i + 1] - eye[1], scene.means[3 * i + 2] - eye[2]];
-    const depth = dot(forward, p);
-    if (depth < NEAR_M) continue;
-    const dx = dot(right, p) / depth - u, dy = dot(down, p) / depth - v;
-    const variance = (scene.sigmas[i] / depth) ** 2 + 0.3 / focal ** 2;
-    const distance = (dx * dx + dy * dy) / variance;
-    if (distance > 11) continue;
-    const alpha = (scene.rgba[4 * i + 3] / 255) * Math.exp(-0.5 * distance);
-    if (alpha >= 1 / 255) hits.push([depth, alpha, i]);
+  for (const [first, end] of scene.parts) {
+    for (let i = first; i < end; i++) {
+      const p = [scene.means[3 * i] - eye[0], scene.means[3 * i + 1] - eye[1], scene.means[3 * i + 2] - eye[2]];
+      const depth = dot(forward, p);
+      if (depth < NEAR_M) continue;
+      const dx = dot(right, p) / depth - u, dy = dot(down, p) / depth - v;
+      const variance = (scene.sigmas[i] / depth) ** 2 + 0.3 / focal ** 2;
+      const distance = (dx * dx + dy * dy) / variance;
+      if (distance > 11) continue;
+      const alpha = (scene.rgba[4 * i + 3] / 255) * Math.exp(-0.5 * distance);
+      if (alpha >= 1 / 255) hits.push([depth, alpha, i]);
+    }
   }
   hits.sort((a, b) => a[0] - b[0]);
   let light = 1;

@@ -1,31 +1,55 @@
-// Decodes the scene that is embedded in the page.
+// Decodes the scene that is embedded in the page, and the parts of large maps that follow.
 
 const NO_NODE = 65535;
 const ARRAY_TYPES = {
-  uint8: Uint8Array, uint16: Uint16Array, int16: Int16Array, int32: Int32Array,
+  int8: Int8Array, uint8: Uint8Array, uint16: Uint16Array, int16: Int16Array, int32: Int32Array,
   float32: Float32Array,
 };
 
 /** Read header and arrays; the text of the elements is freed. */
 function readScene() {
   const scene = JSON.parse(takeText("scene"));
-  const bytes = decodeBase64(takeText("data"));
-  const arrays = {};
-  for (const [name, { offset, length, type }] of Object.entries(scene.arrays)) {
-    arrays[name] = new ARRAY_TYPES[type](bytes.buffer, offset, length);
-  }
-  scene.means = positions(scene, arrays.means);
-  scene.sigmas = sigmas(scene, arrays.sigmas);
-  scene.rgba = arrays.rgba;
-  scene.shapes = arrays.shapes
-    ? Float32Array.from(arrays.shapes, (value) => value * scene.shapeScale) : null;
-  scene.levels = levels(scene, arrays.levels);
-  scene.confidence = arrays.confidence ?? null;
-  scene.submap = arrays.submap ?? null;
-  scene.inferred = arrays.inferred ?? null;
+  const arrays = arraysOf(scene, decodeBase64(takeText("data")).buffer, 0);
+  Object.assign(scene, decodeSplats(scene, arrays));
+  scene.box = scene.overview ?? { low: scene.low, extent: scene.extent };
+  scene.parts = [[0, scene.count]]; // ranges of the Gaussians that are shown
+  scene.capacity = scene.count;
   scene.path = arrays.path;
   scene.pathColours = arrays.pathColours;
+  scene.nodes = scene.stream ? arrays : null;
   return scene;
+}
+
+/** Read a part that the server sent: the length of the header, the header, and arrays. */
+function readChunk(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  return decodeSplats(header, arraysOf(header, buffer, 4 + length));
+}
+
+function arraysOf(header, buffer, start) {
+  const arrays = {};
+  for (const [name, { offset, length, type }] of Object.entries(header.arrays)) {
+    arrays[name] = new ARRAY_TYPES[type](buffer, start + offset, length);
+  }
+  return arrays;
+}
+
+/** The columns of Gaussians; those that a map does not have are null or empty. */
+function decodeSplats(header, arrays) {
+  return {
+    count: header.count,
+    means: positions(header, arrays.means),
+    sigmas: sigmas(header, arrays.sigmas),
+    rgba: arrays.rgba,
+    shapes: arrays.shapes
+      ? Float32Array.from(arrays.shapes, (value) => value * header.shapeScale) : null,
+    harmonics: arrays.harmonics ?? null,
+    levels: levels(header, arrays.levels),
+    confidence: arrays.confidence ?? null,
+    submap: arrays.submap ?? null,
+    inferred: arrays.inferred ?? null,
+  };
 }
 
 function takeText(id) {
@@ -48,23 +72,24 @@ function decodeBase64(text) {
   return bytes;
 }
 
-function positions(scene, packed) {
+function positions(header, packed) {
+  if (packed instanceof Float32Array) return packed;
   const means = new Float32Array(packed.length);
   for (let i = 0; i < packed.length; i++) {
-    means[i] = scene.low[i % 3] + (packed[i] / 65535) * scene.extent[i % 3];
+    means[i] = header.low[i % 3] + (packed[i] / 65535) * header.extent[i % 3];
   }
   return means;
 }
 
-function sigmas(scene, packed) {
-  const [smallest, span] = scene.logSigma;
+function sigmas(header, packed) {
+  const [smallest, span] = header.logSigma;
   const table = Float32Array.from({ length: 256 }, (_, i) => Math.exp(smallest + (i / 255) * span));
   return Float32Array.from(packed, (value) => table[value]);
 }
 
 /** One array of node indices per level of the tree. */
-function levels(scene, packed) {
-  if (!packed || !scene.tree) return [];
-  return scene.tree.levels.map((_, level) =>
-    packed.subarray(level * scene.count, (level + 1) * scene.count));
+function levels(header, packed) {
+  if (!packed) return [];
+  return Array.from({ length: packed.length / header.count }, (_, level) =>
+    packed.subarray(level * header.count, (level + 1) * header.count));
 }

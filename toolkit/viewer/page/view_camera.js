@@ -22,8 +22,9 @@ class ViewCamera {
 
   /** Look at the whole map from outside and above. */
   showAll(scene) {
-    this.target = [0, 1, 2].map((axis) => scene.low[axis] + scene.extent[axis] / 2);
-    this.distance = Math.max(0.85 * norm(scene.extent), 0.1);
+    const { low, extent } = scene.box;
+    this.target = [0, 1, 2].map((axis) => low[axis] + extent[axis] / 2);
+    this.distance = Math.max(0.85 * norm(extent), 0.1);
     this.yaw = 0.5;
     this.pitch = -0.5;
   }

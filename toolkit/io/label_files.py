@@ -1,0 +1,123 @@
+"""Semantic labels beside splat files that have no room for them: `map.sog.labels.npz`.
+
+The file is an archive of NumPy arrays. Row i belongs to splat i of the splat file:
+
+- `label` [N] int32, class ids, 0 for void; `class_names` [C] are the names by id
+- `levels` [N, L] int32, nodes of the class tree at each level; -1 is void or uncertain
+- `confidence` [N] float32 in [0, 1]
+- `taxonomy`, the class tree as JSON text
+- `splats_sha256`, the digest of the splat file
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import logging
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from toolkit.io.atomic import write_bytes
+from toolkit.io.splat_columns import Order
+from toolkit.io.splat_labels import SplatLabels
+
+_log = logging.getLogger(__name__)
+
+_VOID = "void"
+
+
+@dataclass(frozen=True)
+class LabelFile:
+    """Labels read from beside a splat file.
+
+    Attributes:
+        labels: those of all splats.
+        taxonomy: JSON values of the class tree; None if the file has none.
+    """
+
+    labels: SplatLabels
+    taxonomy: dict[str, Any] | None
+
+
+def label_file_of(splat_file: Path) -> Path:
+    """The name of the file with the labels of a splat file."""
+    return splat_file.with_name(f"{splat_file.name}.labels.npz")
+
+
+def write_label_file(
+    splat_file: Path,
+    labels: SplatLabels | None,
+    taxonomy: Mapping[str, Any] | None,
+    order: Order,
+) -> None:
+    """Write the labels of a splat file that exists already, or remove those of an earlier one.
+
+    Args:
+        splat_file: the splat file.
+        labels: labels of the splats before they were written.
+        taxonomy: JSON values of the class tree (`Taxonomy.to_json`).
+        order: rows of the splat file, as indices of the labels; None if they have the same order.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    path = label_file_of(splat_file)
+    if labels is None:
+        path.unlink(missing_ok=True)
+        return
+    if order is not None:
+        labels = labels.select(order)
+    arrays: dict[str, Any] = {
+        "label": labels.label,
+        "levels": labels.levels,
+        "confidence": labels.confidence,
+        "splats_sha256": np.array(_digest(splat_file)),
+    }
+    if taxonomy is not None:
+        arrays["class_names"] = np.array([_VOID, *taxonomy["classes"]])
+        arrays["taxonomy"] = np.array(json.dumps(taxonomy, ensure_ascii=False))
+    content = io.BytesIO()
+    np.savez_compressed(content, allow_pickle=False, **arrays)
+    write_bytes(path, content.getvalue())
+
+
+def read_label_file(splat_file: Path, count: int) -> LabelFile | None:
+    """Read the labels beside a splat file; None, with a warning, if they are not those of the file.
+
+    Args:
+        splat_file: the splat file.
+        count: number of its splats.
+    """
+    path = label_file_of(splat_file)
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            labels = SplatLabels(
+                arrays["label"].astype(np.int32),
+                arrays["levels"].astype(np.int32),
+                arrays["confidence"].astype(np.float32),
+            )
+            taxonomy = json.loads(str(arrays["taxonomy"])) if "taxonomy" in arrays else None
+            digest = str(arrays["splats_sha256"])
+    except (OSError, EOFError, ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
+        _log.warning("%s cannot be read and is ignored (%s); export the map again.", path, error)
+        return None
+    if len(labels) != count:
+        reason = f"it has labels of {len(labels)} splats, but {splat_file.name} contains {count}"
+    elif digest != _digest(splat_file):
+        reason = f"{splat_file.name} was changed after it was exported"
+    else:
+        return LabelFile(labels, taxonomy)
+    _log.warning("%s is ignored: %s; export the map again.", path, reason)
+    return None
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

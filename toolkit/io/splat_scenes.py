@@ -1,0 +1,53 @@
+"""Splats in the scene formats glTF and OpenUSD, by the suffix of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.io.gltf import GLTF_SUFFIXES
+from toolkit.io.gltf_splats import read_gltf_comments, read_gltf_splats, write_gltf_splats
+from toolkit.io.splat_columns import Columns
+from toolkit.io.splat_placement import SplatScene
+from toolkit.io.splat_plys import FILTER_COMMENT
+from toolkit.io.usd_splats import USD_SUFFIXES, read_usd_comments, read_usd_splats, write_usd_splats
+
+SCENE_SUFFIXES = (*GLTF_SUFFIXES, *USD_SUFFIXES)
+
+
+def write_splat_scene(
+    path: Path, columns: Columns, extra: Mapping[str, NDArray], scene: SplatScene
+) -> None:
+    """Write splats as glTF or USD.
+
+    Raises:
+        DependencyError: usd-core is missing.
+        RunFolderError: the file cannot be written.
+    """
+    write = write_usd_splats if path.suffix in USD_SUFFIXES else write_gltf_splats
+    write(path, columns, extra, scene)
+
+
+# Values that are not finite are left out by `read_splats`.
+@np.errstate(over="ignore", invalid="ignore")
+def read_splat_scene(path: Path) -> Columns:
+    """Read the splats of a glTF or USD file, with the axes of a map.
+
+    Raises:
+        DependencyError: usd-core is missing.
+        FormatError: there are no splats, or the file is damaged.
+    """
+    return read_usd_splats(path) if path.suffix in USD_SUFFIXES else read_gltf_splats(path)
+
+
+def is_filtered_scene(path: Path) -> bool:
+    """Whether the splats were fitted with a filter of pixels, see `Splats.pixel_filter`."""
+    return FILTER_COMMENT in _comments(path)
+
+
+def _comments(path: Path) -> list[str]:
+    """Return the comments of a file of `write_splat_scene`; none for files of other programs."""
+    return read_usd_comments(path) if path.suffix in USD_SUFFIXES else read_gltf_comments(path)

@@ -1,0 +1,71 @@
+"""The views that the final refinement compares: keyframes, and frames between them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from toolkit.keyframe import Keyframe
+from toolkit.submaps.intermediate_views import IntermediateView
+
+_log = logging.getLogger(__name__)
+
+# Maximum loss of a view, as a factor of the loss of the keyframe before it (0.4 to 1.2 in a kitchen
+# and in a noisy room): beyond, something moved, or its pose or exposure is wrong.
+_MAX_LOSS = 2.0
+
+
+class ComparedViews:
+    """Keyframes and views between them in random order, each equally often.
+
+    Views beside keyframes that show moving objects are left out, and those that turn out to
+    contradict the map are not compared again.
+
+    Args:
+        generator: chooses the order.
+    """
+
+    def __init__(
+        self,
+        keyframes: Sequence[Keyframe],
+        views: Sequence[IntermediateView],
+        generator: np.random.Generator,
+    ) -> None:
+        self._keyframes = {keyframe.index: keyframe for keyframe in keyframes}
+        self._views = {view.index: view for view in views if self._is_usable(view, keyframes)}
+        self._generator = generator
+        self._losses: dict[int, float] = {}
+        self._order = self._endless()
+
+    def next(self) -> Keyframe:
+        """The next keyframe, or the next view in the form of one."""
+        index = next(self._order)
+        if index in self._keyframes:
+            return self._keyframes[index]
+        view = self._views[index]
+        return view.opened(self._keyframes[view.keyframe])
+
+    def compared(self, keyframe: Keyframe, loss: float) -> None:
+        """Take note of the loss of what `next` has returned."""
+        view = self._views.get(keyframe.index)
+        if view is None:
+            self._losses[keyframe.index] = loss
+        elif loss > _MAX_LOSS * self._losses.get(view.keyframe, np.inf):
+            _log.debug("Frame %d contradicts the map and is not compared again.", view.index)
+            del self._views[view.index]
+
+    def _is_usable(self, view: IntermediateView, keyframes: Sequence[Keyframe]) -> bool:
+        if view.keyframe not in self._keyframes:
+            return False
+        place = next(n for n, k in enumerate(keyframes) if k.index == view.keyframe)
+        return all(k.transient is None for k in keyframes[place : place + 2])
+
+    def _endless(self) -> Iterator[int]:
+        while True:
+            indices = [*self._keyframes, *self._views]
+            for place in self._generator.permutation(len(indices)):
+                index = indices[place]
+                if index in self._keyframes or index in self._views:
+                    yield index
