@@ -22,6 +22,8 @@ from benchmarks import (
     ring,
     semantics,
     sequences,
+    trainer_runs,
+    trainers,
 )
 from toolkit.batch.plan import load_plan
 from toolkit.cli import live as live_program
@@ -42,6 +44,7 @@ COMMANDS = [
     *sequences.ROWS.values(),
     *pace.ROWS.values(),
     *(row for table in semantics.PARTS.values() for row in table.rows.values()),
+    *([*case.row, *trainer_runs.our_options("ellipsoids")] for case in trainers.CASES.values()),
 ]
 
 
