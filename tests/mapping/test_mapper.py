@@ -86,7 +86,13 @@ def test_learning_rates_fall_during_refinement(room, centred, monkeypatch):
         factors.append(rate_factor)
         step(self, state, cloud, gradients, ids, rate_factor)
 
-    options = MapperOptions(iterations=0, first_iterations=1, final_iterations=6, centred=centred)
+    options = MapperOptions(
+        iterations=0,
+        first_iterations=1,
+        final_iterations=6,
+        centred=centred,
+        final_shape="spheres",
+    )
     mapper = fed(MappedSubmap(options), room, [0, 4])
     monkeypatch.setattr(sparse_adam.SparseAdam, "step", recorded)
     mapper.refine()
@@ -103,7 +109,7 @@ def test_learning_rates_fall_during_refinement(room, centred, monkeypatch):
 def test_refinement_leaves_centres_on_their_surfaces(room):
     moved = {}
     for stays in (True, False):
-        options = replace(FEW, final_iterations=4, final_on_surfaces=stays)
+        options = replace(FEW, final_iterations=4, final_on_surfaces=stays, final_shape="spheres")
         mapper = fed(MappedSubmap(options), room, [0, 4, 8])
         surfaces = Surfaces.of(mapper.gaussians.means)
         mapper.refine()
@@ -318,7 +324,7 @@ class TestPapersRefinement:
     def test_the_feature_term_brings_descriptions_nearer(self, room):
         encoder, distance = BuiltinEncoder(), {}
         for weight in (0.0, 2.0):
-            options = replace(FEW, final_iterations=8, final_feature=weight)
+            options = replace(FEW, final_iterations=8, final_feature=weight, final_shape="spheres")
             mapper = fed(MappedSubmap(options), room, [0])
             mapper.refine()
             drawn = mapper.view(mapper.keyframes[0]).images[:3]

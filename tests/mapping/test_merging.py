@@ -29,7 +29,7 @@ def submap_of(means: torch.Tensor, colours: torch.Tensor, radius_m: float = 0.00
     cloud = GaussianCloud.from_values(
         means, torch.full((n,), radius_m), torch.full((n,), 0.5), colours, torch.ones(n, 2)
     )
-    camera = Camera(_FOCAL, _FOCAL, 7.5, 5.5, 16, 12)
+    camera = Camera(_FOCAL, _FOCAL, 319.5, 239.5, 640, 480)
     keyframe = Keyframe(
         index=3,
         timestamp_s=0.0,
@@ -111,7 +111,14 @@ def test_an_empty_submap_stays_empty() -> None:
     assert len(submap.gaussians) == 0
 
 
-def test_fewer_ellipsoids_show_a_room_as_well_as_spheres(room) -> None:
+def test_patches_of_small_images_are_smaller() -> None:
+    submap = submap_of(patch(), grey(200))
+    submap.keyframes[0].camera = Camera(_FOCAL, _FOCAL, 79.5, 59.5, 160, 120)
+    to_ellipsoids(submap, torch.zeros(200, dtype=torch.int64), degree=0)
+    assert len(submap.gaussians) == 4
+
+
+def test_ellipsoids_show_a_room_as_well_as_spheres(room) -> None:
     found = {}
     for shape in ("spheres", "ellipsoids"):
         mapper = fed(MappedSubmap(MapperOptions(final_shape=shape)), room, range(0, 12, 3))
@@ -120,8 +127,8 @@ def test_fewer_ellipsoids_show_a_room_as_well_as_spheres(room) -> None:
         error = np.median(np.abs(depth_error_m(mapper, *image)))
         found[shape] = len(mapper.gaussians), psnr_db(mapper, *image), error
     spheres, ellipsoids = found["spheres"], found["ellipsoids"]
-    assert ellipsoids[0] < 0.6 * spheres[0]
-    assert ellipsoids[1] > spheres[1] - 1.0
+    assert ellipsoids[0] < spheres[0]
+    assert ellipsoids[1] > spheres[1]
     assert ellipsoids[2] < spheres[2] + 0.002
 
 
