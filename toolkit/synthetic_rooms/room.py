@@ -173,21 +173,13 @@ def make_room(
     camera = settings.camera  # raises before a folder is made if the images are too large
     writer.prepare_folder(path)
     layout = LAYOUTS[settings.layout]()
-    build = functools.partial(
-        build_scene,
-        layout,
-        settings.seed,
-        _texel_m(settings),
-        Look(settings.texture, settings.glossy),
-        settings.collection,
-    )
-    scene = build()
+    scene = room_scene(settings)
     class_ids = numbered(settings.class_names)
     poses = _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
     later = scene
     if layout.revisit != "same":
-        later = build(later=True)
+        later = room_scene(settings, later=True)
     views = _views(scene, settings, poses, later)
     if settings.walker:
         views = writer.with_walker_masks(path, views)
@@ -204,6 +196,18 @@ def make_room(
     writer.write_sequence(path / "unseen", _frames(unseen, camera), camera, ideal, class_ids)
     writer.write_mesh(path / "mesh.ply", scene)
     writer.write_json(path / writer.MARKER, settings.as_written())
+
+
+def room_scene(settings: RoomSettings, later: bool = False) -> Scene:
+    """Build the scene of a room, which can be rendered from any camera.
+
+    Args:
+        settings: settings of the room; the size of its images sets the resolution of textures.
+        later: return the scene of the second half of the path.
+    """
+    look = Look(settings.texture, settings.glossy)
+    layout, texel_m = LAYOUTS[settings.layout](), _texel_m(settings)
+    return build_scene(layout, settings.seed, texel_m, look, settings.collection, later=later)
 
 
 def tiny_room(
