@@ -34,7 +34,7 @@ class LearningRates:
     log_radii: float = 0.01
     opacity_logits: float = 0.05
     colours: float = 0.01
-    log_scales: float = 0.04
+    log_scales: float = 0.02
     rotations: float = 0.01
     harmonics: float = 0.002
     features: float = 1.0
