@@ -84,7 +84,8 @@ The build measured has the code of version 1.1.4. It reads the depths that it so
 strided tensor as if they were contiguous; with libtorch 2.13 its Gaussians were blended in a wrong
 order, and 500 steps on office0 reached 27 dB instead of 34 dB. The tensor was made contiguous, as
 OpenSplat's later code does. That later code also has other learning rates and another way to add
-Gaussians, and has not been measured. By default it trains for 30 000 steps, far more than these.
+Gaussians, and has not been measured. OpenSplat's default of 30 000 steps is far beyond these
+budgets.
 
 Near views of office0, at 90 CPU seconds: [trainers.png](../../docs/images/trainers.png)."""
 
