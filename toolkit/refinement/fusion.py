@@ -3,11 +3,12 @@
 Space is divided into voxels. If several submaps have a surface in a voxel, the submap that was
 optimised most there keeps its Gaussians and the others are removed. Gaussians are not averaged.
 Voxels are compared instead of single Gaussians because two samplings of one surface rarely have
-the same centres.
+the same centres. An ellipsoid may be larger than a voxel, and counts for all that it covers.
 """
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from torch import Tensor
 from toolkit.caching import LruCache
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.ellipsoids import rotation_matrices
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.voxels import voxel_keys, voxels_of
@@ -34,8 +36,12 @@ Array = NDArray[np.float64]
 
 # Voxel size in metres: larger than registration errors, smaller than furniture.
 VOXEL_M = 0.05
-# Minimum sum of opacities in a voxel for a surface.
-_MIN_OPACITY = 2.0
+# Minimum mass in a voxel for a surface: the sum of opacities of spheres. Ellipsoids that cover the
+# area of a voxel have `_COVERING` in total.
+_MIN_MASS, _COVERING = 2.0, 4.0
+# Samples of an ellipsoid along each of its longer axes, in standard deviations: with these, they
+# have its covariance.
+_SAMPLES = math.sqrt(1.5) * np.array([-1.0, 0.0, 1.0])
 # Size of the LRU cache of parts, in megabytes. Rebuilding a part reads its submap with all
 # keyframes.
 _CACHE_MB = 256.0
@@ -286,16 +292,38 @@ class _VoxelStatistics:
 
 
 def _voxel_statistics(submap: Submap, voxel_m: float) -> _VoxelStatistics:
-    voxels, inverse = np.unique(_voxels(submap, voxel_m), return_inverse=True)
-    opacity = submap.gaussians.opacities.double().numpy()
-    total = np.bincount(inverse, opacity)
-    solid = total >= _MIN_OPACITY
-    steps = np.bincount(inverse, opacity * submap.optimiser.steps.double().numpy())
-    colours = submap.gaussians.colours.double().numpy()
-    sums = [np.bincount(inverse, opacity * channel) for channel in colours.T]
+    cloud = submap.gaussians.transformed(submap.T_world_submap)
+    points, mass = _samples(cloud, voxel_m)
+    keys = voxel_keys(voxels_of(points.reshape(-1, 3), voxel_m))
+    voxels, inverse = np.unique(keys, return_inverse=True)
+
+    def summed(values: Array) -> Array:
+        return np.bincount(inverse, np.repeat(mass * values, points.shape[1]))
+
+    total = summed(np.ones(len(mass)))
+    solid = total >= _MIN_MASS
+    steps = summed(submap.optimiser.steps.double().numpy())
+    sums = [summed(channel) for channel in cloud.colours.double().numpy().T]
     mean = np.stack(sums, axis=1) / np.maximum(total, 1e-9)[:, None]
     mean[~solid] = np.nan
     return _VoxelStatistics(voxels, np.where(solid, 1e12, 0.0) + steps, mean)
+
+
+def _samples(cloud: GaussianCloud, voxel_m: float) -> tuple[Array, Array]:
+    """Points [N, S, 3] of the surface of each Gaussian, and the mass [N] of each of them."""
+    means, opacity = cloud.means.double().numpy()[:, None], cloud.opacities.double().numpy()
+    shapes = cloud.ellipsoids
+    if shapes is None:
+        return means, opacity
+    axes = rotation_matrices(shapes.rotations).double().numpy().swapaxes(1, 2)
+    scales_m = shapes.log_scales.double().exp().numpy()
+    longer = np.argsort(-scales_m, axis=1, kind="stable")[:, :2]
+    sides_m = np.take_along_axis(scales_m, longer, axis=1)
+    sides = np.take_along_axis(axes, longer[:, :, None], axis=1) * sides_m[:, :, None]
+    u, v = (grid.reshape(-1, 1) for grid in np.meshgrid(_SAMPLES, _SAMPLES))
+    points = means + u * sides[:, None, 0] + v * sides[:, None, 1]
+    area = 2.0 * math.pi * sides_m.prod(axis=1) / voxel_m**2
+    return points, _COVERING * area * opacity / points.shape[1]
 
 
 def _owners(seen: dict[int, _VoxelStatistics]) -> _Owners:
