@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import NO_LOW_PASS, GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
@@ -73,13 +73,19 @@ def _start(
 ) -> None:
     """Start a submap at a keyframe that has a pose in an existing submap."""
     index = _NO_INDICES
-    if inherit and atlas.boundary.inherit:
+    # Ellipsoids of a finished map are too large to be tracked against, and are not merged again.
+    if inherit and atlas.boundary.inherit and source.gaussians.ellipsoids is None:
         index = _seen(mapper, anchor, source, T_source_camera)
     copies = source.gaussians.select(index).transformed(se3.inverse(T_source_camera))
     submap = Submap(
         len(atlas),
         atlas.T_world_submap(source.number) @ T_source_camera,
-        replace(copies, centred_colours=mapper.options.centred),
+        replace(
+            copies,
+            centred_colours=mapper.options.centred,
+            ellipsoids=None,
+            low_pass=NO_LOW_PASS,
+        ),
         [],
         torch.full((len(copies),), anchor.index, dtype=torch.int32),
         _boundary_row(atlas, anchor.index),
