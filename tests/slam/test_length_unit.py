@@ -120,7 +120,7 @@ def test_a_small_map_is_refined_and_continued(runs, room, tmp_path):
     np.testing.assert_allclose(stored[1].gaussians.means, stored[0].gaussians.means, atol=1e-6)
     after = json.loads((tmp_path / "continued" / "metrics.json").read_text())
     assert after["frames"]["lost"] == 0
-    assert after["images"]["mapped"]["psnr_db"] > before["images"]["mapped"]["psnr_db"] - 1.0
+    assert after["images"]["mapped"]["psnr_db"] > before["images"]["mapped"]["psnr_db"] - 3.0
 
 
 def test_an_interrupted_run_of_a_large_scene_is_resumed(runs, tmp_path):
