@@ -298,7 +298,8 @@ def _voxel_statistics(submap: Submap, voxel_m: float) -> _VoxelStatistics:
     voxels, inverse = np.unique(keys, return_inverse=True)
 
     def summed(values: Array) -> Array:
-        return np.bincount(inverse, np.repeat(mass * values, points.shape[1]))
+        weights = np.repeat(mass * values, points.shape[1])
+        return np.bincount(inverse, weights).astype(np.float64, copy=False)
 
     total = summed(np.ones(len(mass)))
     solid = total >= _MIN_MASS
