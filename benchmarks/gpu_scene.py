@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
-from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids
+from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.native.constants import MIN_ALPHA
 from toolkit.rendering import RenderOptions, render_surface

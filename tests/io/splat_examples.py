@@ -9,9 +9,10 @@ import numpy as np
 import torch
 
 from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
-from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids
+from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.io.splat_placement import SplatScene
 from toolkit.io.splats import Splats

@@ -20,9 +20,10 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud, LowPass
-from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids, harmonic_basis
+from toolkit.gaussians.ellipsoids import Ellipsoids, harmonic_basis
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.native import load_variant
 from toolkit.native.constants import MAX_ALPHA, MIN_ALPHA, NEAR_M
 from toolkit.rendering import GaussianGradients

@@ -13,10 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.geometry.harmonics import harmonic_rotation, harmonics
+from toolkit.geometry.harmonics import HARMONIC_COUNTS, harmonic_rotation, harmonics
 
-# Numbers of coefficients per colour of the degrees 0 to 3, without the constant.
-HARMONIC_COUNTS = (0, 3, 8, 15)
 # The tensors of ellipsoids, one row for each.
 SHAPES = ("log_scales", "rotations", "harmonics")
 

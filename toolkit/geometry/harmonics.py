@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+# Numbers of harmonics of the degrees 0 to 3, without the constant.
+HARMONIC_COUNTS = (0, 3, 8, 15)
+
 
 def harmonics(x: Any, y: Any, z: Any) -> list[Any]:
     """Return the values of the 15 harmonics after the constant.

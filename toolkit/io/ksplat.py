@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
-from toolkit.io.splat_columns import CONSTANT_HARMONIC, HARMONICS, Columns, logits
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.io.splat_columns import CONSTANT_HARMONIC, Columns, logits
 
 _HEADER_BYTES, _SECTION_BYTES = 4096, 1024
 _HEADER = struct.Struct("<BB2xII4xIH2x12xff")
@@ -123,7 +124,7 @@ def _row(file: _File, section: _Section) -> np.dtype:
             ("scale", number, 3),
             ("rotation", number, 4),
             ("rgba", "u1", 4),
-            ("harmonics", _HARMONIC_TYPES[file.level], 3 * HARMONICS[section.degree]),
+            ("harmonics", _HARMONIC_TYPES[file.level], 3 * HARMONIC_COUNTS[section.degree]),
         ]
     )
 
@@ -141,7 +142,7 @@ def _read_section(file: _File, section: _Section, place: int) -> Columns:
         "rot": rows["rotation"].astype(np.float32),
         "f_dc": ((rows["rgba"][:, :3] / 255.0 - 0.5) / CONSTANT_HARMONIC).astype(np.float32),
         "opacity": logits(rows["rgba"][:, 3] / 255.0),
-        "f_rest": _harmonics(file, rows["harmonics"], HARMONICS[section.degree]),
+        "f_rest": _harmonics(file, rows["harmonics"], HARMONIC_COUNTS[section.degree]),
     }
 
 
@@ -169,7 +170,7 @@ def _harmonics(file: _File, values: NDArray, count: int) -> NDArray[np.float32]:
         low, high = file.harmonic_range
         numbers = np.float32(low) + numbers / np.float32(255.0) * np.float32(high - low)
     harmonics = np.zeros((len(values), count, 3), np.float32)
-    for first, end in pairwise(HARMONICS):
+    for first, end in pairwise(HARMONIC_COUNTS):
         if end <= count:
             by_colour = numbers[:, 3 * first : 3 * end].reshape(-1, 3, end - first)
             harmonics[:, first:end] = by_colour.transpose(0, 2, 1)

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.smallest_three import join_largest
-from toolkit.io.splat_columns import HARMONICS, Columns, logits
+from toolkit.io.splat_columns import Columns, logits
 
 META = "meta.json"
 # The last byte of a rotation is this plus the index of the largest of w, x, y, z.
@@ -166,7 +167,7 @@ def _rotations(pixels: Image) -> Array:
 def _harmonics(part: dict[str, Any], image: Image) -> Array:
     """The palette [P, K, 3] of harmonics."""
     count = image.shape[1] // PALETTE_COLUMNS
-    if image.shape[1] % PALETTE_COLUMNS or count not in HARMONICS[1:]:
+    if image.shape[1] % PALETTE_COLUMNS or count not in HARMONIC_COUNTS[1:]:
         raise _DamagedError(f"the palette of harmonics is {image.shape[1]} pixels wide")
     palette = image[..., :3].reshape(-1, count, 3)
     if "codebook" in part:

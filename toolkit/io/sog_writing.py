@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.atomic import write_bytes
 from toolkit.io.morton import morton_order
 from toolkit.io.quantisation import codebook, nearest_codes, palette
 from toolkit.io.smallest_three import split_largest
 from toolkit.io.sog import FILTERED_MODEL, FIRST_ROTATION_TAG, META, PALETTE_COLUMNS
-from toolkit.io.splat_columns import HARMONICS, Columns, Order, harmonics_of, opacities_of
+from toolkit.io.splat_columns import Columns, Order, harmonics_of, opacities_of
 
 _VERSION = 2
 # Width and height of images are multiples of this.
@@ -113,7 +114,11 @@ def _harmonics(columns: Columns) -> tuple[Part, Files]:
         "shN_centroids.webp": _webp(_opaque(pixels.reshape(-1, 3)).reshape(*shape, 4)),
         "shN_labels.webp": _image(np.column_stack([labels & 255, labels >> 8, 0 * labels])),
     }
-    part = {"count": len(entries), "bands": HARMONICS.index(width), "codebook": codes.tolist()}
+    part = {
+        "count": len(entries),
+        "bands": HARMONIC_COUNTS.index(width),
+        "codebook": codes.tolist(),
+    }
     return part, files
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.splat_shapes import SplatShapes
 
 _log = logging.getLogger(__name__)
@@ -27,8 +28,6 @@ Order = NDArray[np.int64] | None
 
 # The value of the constant spherical harmonic, 1 / (2 sqrt(pi)).
 CONSTANT_HARMONIC = 0.28209479
-# Numbers of harmonics of the degrees 0 to 3, without the constant.
-HARMONICS = (0, 3, 8, 15)
 OWN_COLUMNS = ("positions", "f_dc", "f_rest", "opacity", "scale", "rot", "normals")
 # Opacities of 0 and 1 have no finite logit.
 _SMALLEST_OPACITY = 2.0**-24
@@ -166,10 +165,10 @@ def shapes_of(path: Path, columns: Mapping[str, NDArray]) -> SplatShapes | None:
         return None
     count, log_scales = len(columns["scale"]), np.log(columns["scale"])
     harmonics = columns.get("f_rest", np.zeros((count, 0, 3)))
-    if harmonics.shape[1] not in HARMONICS:
+    if harmonics.shape[1] not in HARMONIC_COUNTS:
         raise FormatError(
             f"{path} has {harmonics.shape[1]} harmonics per colour, instead of "
-            f"{', '.join(map(str, HARMONICS[:-1]))} or {HARMONICS[-1]}; write it again"
+            f"{', '.join(map(str, HARMONIC_COUNTS[:-1]))} or {HARMONIC_COUNTS[-1]}; write it again"
         )
     if not harmonics.any() and (np.ptp(log_scales, axis=1) <= np.log(_ISOTROPY)).all():
         return None

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.atomic import write_bytes
 from toolkit.io.open3d_splats import read_with_open3d, write_with_open3d
 from toolkit.io.smallest_three import split_largest
 from toolkit.io.splat_columns import (
-    HARMONICS,
     Columns,
     harmonics_of,
     opacities_of,
@@ -122,7 +122,7 @@ def _packed(columns: Columns, version: int, flags: int) -> bytes:
         _first_three(columns["rot"]) if version == 2 else _smallest_three(columns["rot"]),
         _packed_harmonics(harmonics),
     )
-    degree = HARMONICS.index(harmonics.shape[1])
+    degree = HARMONIC_COUNTS.index(harmonics.shape[1])
     head = _HEAD.pack(_MAGIC, version, count, degree, _FRACTION_BITS, flags, 0)
     # No time in the header, so that the same map gives the same file.
     content = head + b"".join(part.tobytes() for part in parts)
@@ -147,7 +147,7 @@ def _smallest_three(rotations: NDArray[np.floating]) -> NDArray[np.uint32]:
 
 
 def _packed_harmonics(harmonics: NDArray[np.floating]) -> NDArray[np.uint8]:
-    steps = np.where(np.arange(harmonics.shape[1]) < HARMONICS[1], _STEP_1, _STEP)[:, None]
+    steps = np.where(np.arange(harmonics.shape[1]) < HARMONIC_COUNTS[1], _STEP_1, _STEP)[:, None]
     bytes_ = np.rint(128.0 * harmonics.astype(np.float64) + 128.0)
     return _byte((bytes_ + steps // 2) // steps * steps)
 
@@ -209,14 +209,14 @@ def _check_version(path: Path, version: int, known: range) -> None:
 
 
 def _row_bytes(path: Path, version: int, degree: int) -> int:
-    if degree >= len(HARMONICS):
+    if degree >= len(HARMONIC_COUNTS):
         raise FormatError(
-            f"{path} has harmonics of degree {degree}, but degrees up to {len(HARMONICS) - 1} can "
-            "be read; write it with fewer"
+            f"{path} has harmonics of degree {degree}, but degrees up to "
+            f"{len(HARMONIC_COUNTS) - 1} can be read; write it with fewer"
         )
     # Version 1, which no program has written for long, has positions of half floats.
     position = 6 if version == 1 else 9
-    return _BYTES - 9 + position + _ROTATION_BYTES[version] + 3 * HARMONICS[degree]
+    return _BYTES - 9 + position + _ROTATION_BYTES[version] + 3 * HARMONIC_COUNTS[degree]
 
 
 def _truncated(path: Path) -> FormatError:

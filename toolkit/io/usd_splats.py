@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError, FormatError, RunFolderError
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.atomic import replacing
-from toolkit.io.splat_columns import HARMONICS, OWN_COLUMNS, Columns, logits, opacities_of
+from toolkit.io.splat_columns import OWN_COLUMNS, Columns, logits, opacities_of
 from toolkit.io.splat_placement import (
     HALF_TURN,
     SplatScene,
@@ -105,7 +106,7 @@ def _fill(pxr: Any, field: Any, columns: Columns) -> None:
     field.CreateOrientationsAttr(pxr.Vt.QuatfArray.FromNumpy(quaternions))
     field.CreateScalesAttr(vectors(columns["scale"]))
     field.CreateOpacitiesAttr(pxr.Vt.FloatArray.FromNumpy(opacities_of(columns).astype(np.float32)))
-    field.CreateRadianceSphericalHarmonicsDegreeAttr(HARMONICS.index(harmonics.shape[1] - 1))
+    field.CreateRadianceSphericalHarmonicsDegreeAttr(HARMONIC_COUNTS.index(harmonics.shape[1] - 1))
     radiance = field.CreateRadianceSphericalHarmonicsCoefficientsAttr()
     radiance.Set(vectors(harmonics.reshape(-1, 3)))
     # The schema derives it from the degree; some renderers do not.
@@ -228,11 +229,11 @@ def _prim_columns(pxr: Any, path: Path, prim: Any) -> Columns:
     if positions is None:
         raise FormatError(f"{path}: {prim.GetPath()} contains no splats; write the file again")
     degree = prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get(time)
-    if degree not in range(len(HARMONICS)):
+    if degree not in range(len(HARMONIC_COUNTS)):
         raise FormatError(
             f"{path}: harmonics have degree {degree}, instead of 0 to 3; write the file again"
         )
-    K = HARMONICS[degree] + 1
+    K = HARMONIC_COUNTS[degree] + 1
     harmonics = values("radiance:sphericalHarmonicsCoefficients", (count, K, 3))
     if harmonics is None:
         _log.warning("%s: %s has no colours; it is grey.", path, prim.GetPath())

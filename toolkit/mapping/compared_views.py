@@ -34,7 +34,12 @@ class ComparedViews:
         generator: np.random.Generator,
     ) -> None:
         self._keyframes = {keyframe.index: keyframe for keyframe in keyframes}
-        self._views = {view.index: view for view in views if self._is_usable(view, keyframes)}
+        still = {
+            keyframe.index
+            for place, keyframe in enumerate(keyframes)
+            if all(near.transient is None for near in keyframes[place : place + 2])
+        }
+        self._views = {view.index: view for view in views if view.keyframe in still}
         self._generator = generator
         self._losses: dict[int, float] = {}
         self._order = self._endless()
@@ -55,12 +60,6 @@ class ComparedViews:
         elif loss > _MAX_LOSS * self._losses.get(view.keyframe, np.inf):
             _log.debug("Frame %d contradicts the map and is not compared again.", view.index)
             del self._views[view.index]
-
-    def _is_usable(self, view: IntermediateView, keyframes: Sequence[Keyframe]) -> bool:
-        if view.keyframe not in self._keyframes:
-            return False
-        place = next(n for n, k in enumerate(keyframes) if k.index == view.keyframe)
-        return all(k.transient is None for k in keyframes[place : place + 2])
 
     def _endless(self) -> Iterator[int]:
         while True:

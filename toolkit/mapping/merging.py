@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
-from toolkit.gaussians.ellipsoids import HARMONIC_COUNTS, Ellipsoids, quaternions
+from toolkit.gaussians.ellipsoids import Ellipsoids, quaternions
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.submaps.optimiser_state import OptimiserState
 from toolkit.submaps.submap import Submap
 
