@@ -66,6 +66,10 @@ def tried(monkeypatch):
     return indices
 
 
+def last_at(timestamp_s, part=(0,)):
+    return LastPosition(timestamp_s, ORIGIN, part)
+
+
 def find(last, timestamp_s=0.0, anywhere=True, tracker=None):
     relocaliser = Relocaliser(Detector())
     return relocaliser.find(lost_frame(timestamp_s), Map(), tracker, last, anywhere)
@@ -85,13 +89,17 @@ ORIGIN = np.array([1.0, 0.0, 0.0])
     [(0.0, [20, 40]), (1.0, [20, 40]), (1.25, [20, 30]), (-1.25, [20, 30]), (3.75, [10, 20])],
 )
 def test_the_reach_grows_with_time(tried, elapsed_s, expected):
-    last = LastPosition(100.0, ORIGIN)
-    find(last, 100.0 + elapsed_s, anywhere=False)
+    find(last_at(100.0), 100.0 + elapsed_s, anywhere=False)
     assert tried == expected
 
 
-def test_keyframes_in_reach_come_first(tried):
-    find(LastPosition(100.0, ORIGIN), 100.0)
+def test_keyframes_out_of_reach_are_not_tried(tried):
+    find(last_at(100.0), 100.0)
+    assert tried == [20, 40]
+
+
+def test_keyframes_of_other_parts_come_after_those_in_reach(tried):
+    find(last_at(100.0, part=(7,)), 100.0)
     assert tried == [20, 40, 10]
 
 

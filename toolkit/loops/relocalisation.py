@@ -49,10 +49,12 @@ class LastPosition:
     Attributes:
         timestamp_s: seconds.
         position: [3] in the world frame, metres.
+        part: numbers of the submaps whose poses relative to this position are known.
     """
 
     timestamp_s: float
     position: NDArray[np.float64]
+    part: tuple[int, ...]
 
 
 # Number of most similar keyframes that are matched with the frame, and number retrieved for each of
@@ -90,7 +92,8 @@ class Relocaliser:
             atlas: submaps to search.
             tracker: aligns the frame to a submap.
             last: last known position of the camera, None if unknown.
-            anywhere: False restricts the search to keyframes in reach of that position.
+            anywhere: False restricts the search to keyframes in reach of that position. True adds
+                those of other parts of the map, whose distance is unknown.
         """
         if not has_depth(frame):
             return None
@@ -111,14 +114,20 @@ class Relocaliser:
     def _matches(
         self, frame: Frame, atlas: Atlas, last: LastPosition | None, anywhere: bool
     ) -> list[SimilarKeyframe]:
-        """Keyframes similar to a frame: those in reach first, then the most similar ones."""
+        """Keyframes similar to a frame: those in reach first, then those of other parts.
+
+        A frame that looks like a place out of reach shows another place that looks the same, or a
+        recording with a cut. A submap of unknown position is right for both: its loops are
+        verified with all of its keyframes.
+        """
         view = Keyframe.from_frame(frame, np.eye(4))
         if last is None:
             return self._detector.most_similar(view, _TRIES)
         reach_m = _SLACK_M + _SPEED_M_S * abs(frame.timestamp_s - last.timestamp_s)
         found = self._detector.most_similar(view, _POOL_FACTOR * _TRIES)
         near = [s for s in found if _distance_m(s, atlas, last) <= reach_m][:_TRIES]
-        return near + [s for s in found[:_TRIES] if anywhere and s not in near]
+        others = [s for s in found[:_TRIES] if s.submap not in last.part]
+        return near + [s for s in others if anywhere and s not in near]
 
     def _align(
         self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker

@@ -58,8 +58,9 @@ _START_RATE = 4.0
 # Of new ellipsoids, which are not yet fitted to the images.
 _ELLIPSOIDS_START_RATE = 8.0
 # Their steps take longer than those of spheres. This fraction of the steps takes 1.1 to 1.25 times
-# as long; fewer in total than the minimum are too few, however few keyframes there are.
-_ELLIPSOIDS_SHARE, _ELLIPSOIDS_MIN_STEPS = 0.85, 72
+# as long; fewer in total than the minimum are too few, however few keyframes there are. With 72,
+# spheres are better in a room of 13 keyframes.
+_ELLIPSOIDS_SHARE, _ELLIPSOIDS_MIN_STEPS = 0.85, 90
 
 
 def refine(

@@ -30,6 +30,12 @@ _COLOUR_STEP = 0.125
 # Bounds of the merged opacity, whose logit must be finite.
 _OPACITIES = 0.01, 0.99
 _SMALLEST_M = 1e-5
+# A Gaussian with the covariance of a patch leaves gaps to its neighbours. With this factor of its
+# two larger axes, the merged map starts 5 dB better. With 1.3, rooms gain another 0.3 dB, and the
+# depth error of the HoloLens walk grows by a third.
+_IN_PLANE = 1.15
+# Of the numbers of patches, which are 64-bit integers.
+_MAX_NUMBER = 2**62
 
 
 def to_ellipsoids(submap: Submap, classes: Tensor, degree: int) -> None:
@@ -79,7 +85,16 @@ def _patches(cloud: GaussianCloud, sizes_m: Array, classes: NDArray) -> NDArray[
 def _numbers(*keys: NDArray) -> NDArray[np.int64]:
     """Number [N] of each distinct row of some columns [N] or [N, K] of integers."""
     rows = np.column_stack(keys).astype(np.int64)
-    return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
+    rows -= rows.min(axis=0)
+    numbers, bound = np.zeros(len(rows), np.int64), 1
+    # Several times faster than `np.unique` over rows, which sorts them as bytes.
+    for column in rows.T:
+        span = int(column.max()) + 1
+        if bound * span > _MAX_NUMBER:
+            numbers = np.unique(numbers, return_inverse=True)[1]
+            bound = int(numbers.max()) + 1
+        numbers, bound = numbers * span + column, bound * span
+    return np.unique(numbers, return_inverse=True)[1]
 
 
 def _is_mixed(cells: NDArray[np.int64], classes: NDArray) -> NDArray[np.bool_]:
@@ -105,6 +120,7 @@ def _merged(
     spread += (cloud.radii_m.cpu().double().numpy() ** 2)[:, None, None] * np.eye(3)
     variances, axes = np.linalg.eigh(mean(spread.reshape(-1, 9)).reshape(-1, 3, 3))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    variances[np.bincount(patches) > 1, 1:] *= _IN_PLANE**2
     log_scales = _tensor(0.5 * np.log(np.maximum(variances, _SMALLEST_M**2)), cloud)
     opacities = _tensor(mean(cloud.opacities.cpu()).clip(*_OPACITIES)[:, 0], cloud)
     harmonics = cloud.means.new_zeros(len(total), HARMONIC_COUNTS[degree], 3)

@@ -226,13 +226,20 @@ class CameraPath:
         poses.append(atlas.T_world_submap(atlas.active) @ T_submap_camera)
         return steady_velocity(poses[-2:], [times_s[-1], frame.timestamp_s])
 
-    def last_position(self, atlas: Atlas) -> LastPosition | None:
-        """Time and position in the world frame of the newest frame; None without frames."""
+    def last_position(
+        self, atlas: Atlas, parts: Sequence[tuple[int, ...]]
+    ) -> LastPosition | None:
+        """Time and position in the world frame of the newest frame; None without frames.
+
+        Args:
+            parts: submaps with known relative poses (`LoopClosing.parts`).
+        """
         if not self._frames:
             return None
         number, T_submap_camera = self.last_pose(atlas)
         T_world_camera = atlas.T_world_submap(number) @ T_submap_camera
-        return LastPosition(self._frames[-1].timestamp_s, T_world_camera[:3, 3])
+        part = next(part for part in parts if number in part)
+        return LastPosition(self._frames[-1].timestamp_s, T_world_camera[:3, 3], part)
 
     def poses_in_submaps(self, atlas: Atlas) -> list[Array]:
         """T_submap_camera [4, 4] of each frame, in its own submap."""

@@ -109,7 +109,8 @@ class Recovery:
             return Located(None, lost)
         out_of_patience = self.out_of_patience(frame)
         with self._recorder.timed(Stage.RELOCALISATION):
-            last = self._path.last_position(self._atlas)
+            parts = self._closer.parts(self._atlas)
+            last = self._path.last_position(self._atlas, parts)
             found = relocaliser.find(frame, self._atlas, tracker, last, anywhere=out_of_patience)
         active = self._atlas.active if self._atlas.has_active_submap else None
         if found is not None and found.submap == active:

@@ -425,13 +425,16 @@ class TestLost:
         anyhow = order(None)
         assert {index < 20 for index in anyhow[:2]} == {True, False}, "they look the same"
         for there in (np.zeros(3), far[:3, 3]):
-            last = LastPosition(lost.timestamp_s, there)
+            last = LastPosition(lost.timestamp_s, there, part=())
             mine = [index < 20 for index in order(last)]
             assert mine[0] == (there[0] == 0.0)
             assert mine == sorted(mine, reverse=mine[0]), "the others come after them"
             alone = [index < 20 for index in order(last, anywhere=False)]
             assert alone == [own for own in mine if own == mine[0]]
-        assert order(LastPosition(lost.timestamp_s - 60.0, np.zeros(3)))[: len(anyhow)] == anyhow
+            same_part = replace(last, part=tuple(range(len(atlas))))
+            assert [index < 20 for index in order(same_part)] == alone
+        long_ago = LastPosition(lost.timestamp_s - 60.0, np.zeros(3), part=())
+        assert order(long_ago)[: len(anyhow)] == anyhow
 
 
 class TestState:
