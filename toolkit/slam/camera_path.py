@@ -226,9 +226,7 @@ class CameraPath:
         poses.append(atlas.T_world_submap(atlas.active) @ T_submap_camera)
         return steady_velocity(poses[-2:], [times_s[-1], frame.timestamp_s])
 
-    def last_position(
-        self, atlas: Atlas, parts: Sequence[tuple[int, ...]]
-    ) -> LastPosition | None:
+    def last_position(self, atlas: Atlas, parts: Sequence[tuple[int, ...]]) -> LastPosition | None:
         """Time and position in the world frame of the newest frame; None without frames.
 
         Args:
