@@ -63,6 +63,14 @@ _ELLIPSOIDS_START_RATE = 8.0
 _ELLIPSOIDS_SHARE, _ELLIPSOIDS_MIN_STEPS = 0.85, 90
 
 
+def step_count(options: MapperOptions, keyframes: int) -> int:
+    """Number of optimisation steps of the refinement of a submap with some keyframes."""
+    total = options.final_iterations * keyframes
+    if total and options.final_shape == "ellipsoids":
+        return max(round(_ELLIPSOIDS_SHARE * total), _ELLIPSOIDS_MIN_STEPS)
+    return total
+
+
 def refine(
     submap: Submap,
     optimisation: MapOptimisation,
@@ -91,13 +99,10 @@ def refine(
         adjust_poses=options.final_poses or options.bundle_adjustment,
         compare_features=True,
     )
-    rounds, surfaces = options.final_iterations, None
-    total = rounds * count
-    if total and merged:
-        total = max(round(_ELLIPSOIDS_SHARE * total), _ELLIPSOIDS_MIN_STEPS)
-    if rounds:
+    total, surfaces = step_count(options, count), None
+    if total:
         submap.gaussians = replace(submap.gaussians, centred_colours=False)
-    if options.final_on_surfaces and rounds and submap.gaussians.ellipsoids is None:
+    if options.final_on_surfaces and total and submap.gaussians.ellipsoids is None:
         surfaces = Surfaces.of(submap.gaussians.means)
     views = ComparedViews(submap.keyframes, submap.views, generator)
     for number in range(total):

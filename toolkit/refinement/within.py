@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
+from toolkit.mapping.final_optimisation import step_count
 from toolkit.mapping.mapper import Mapper
 from toolkit.submaps.atlas import Atlas
 
@@ -31,8 +32,8 @@ def refine_submaps(
         progress: follows the optimisation steps.
     """
     own = [number for number in atlas.readable() if number >= atlas.saved]
-    keyframes = sum(len(atlas.keyframe_poses(number)) for number in own)
-    steps = iter(progress(range(keyframes * mapper.options.final_iterations)))
+    total = sum(step_count(mapper.options, len(atlas.keyframe_poses(number))) for number in own)
+    steps = iter(progress(range(total)))
     if len(atlas) == 1:
         # The active submap still has its optimiser state.
         T_map_cameras = se3.inverse(atlas.T_world_submap(0)) @ T_world_cameras_of(0)
