@@ -16,8 +16,8 @@ from toolkit.loops.closing.options import ClosingOptions, LoopClosureOptions
 from toolkit.loops.pose_graph.noise import OdometryNoise
 from toolkit.mapping import keyframes
 from toolkit.mapping.boundary import start_next
-from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.final_optimisation import step_count
+from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.options import KeyframePolicy
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam import submap_changes
