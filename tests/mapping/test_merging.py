@@ -13,6 +13,7 @@ from mapped_submap import MappedSubmap
 from toolkit.exposure import IDENTITY
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.merging import PATCH_PX, to_ellipsoids
 from toolkit.mapping.options import MapperOptions
@@ -147,6 +148,17 @@ def test_a_stored_submap_of_ellipsoids_is_restored(room) -> None:
     assert restored.gaussians.low_pass == submap.gaussians.low_pass
     for name, tensor in submap.gaussians.tensors().items():
         assert torch.equal(restored.gaussians.tensors()[name], tensor), name
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+def test_harmonics_of_the_asked_degree_are_optimised(room, degree: int) -> None:
+    options = MapperOptions(final_harmonics=degree)
+    mapper = fed(MappedSubmap(options), room, range(0, 6, 3))
+    mapper.refine()
+    shapes = mapper.submap.gaussians.ellipsoids
+    assert shapes is not None
+    assert shapes.harmonics.shape[1] == HARMONIC_COUNTS[degree]
+    assert degree == 0 or float(shapes.harmonics.abs().max()) > 1e-3
 
 
 def test_spheres_can_be_added_to_ellipsoids(room) -> None:

@@ -300,7 +300,8 @@ class Mapper:
         merge = self.options.final_shape == "ellipsoids" and self.options.final_iterations > 0
         merge &= submap.gaussians.ellipsoids is None
         if merge:
-            to_ellipsoids(submap, self.semantics.classes_of(submap.gaussians.features), 0)
+            classes = self.semantics.classes_of(submap.gaussians.features)
+            to_ellipsoids(submap, classes, self.options.final_harmonics)
         refine(submap, self._optimisation, self.options, self._generator, steps, merge)
         self._clear_free_space(submap, T_map_cameras)
         self.densification.prune(submap)
