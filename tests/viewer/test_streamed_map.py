@@ -11,9 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from browser_pages import WatchedPage, chromium, mean_colour
 from painted_scenes import two_panels
 
+from toolkit.io.splats import write_splat_ply
+from toolkit.runs.folder import read_cloud
 from toolkit.viewer.colouring import CLASSES, SOURCE, SUBMAPS, legend
 from toolkit.viewer.html import write_page
 from toolkit.viewer.packing import pack_chunk
@@ -197,8 +200,21 @@ def test_a_highlight_is_shown_at_the_start(browser):
     assert watched.errors == []
 
 
-def test_the_program_streams_a_map_above_the_limit(tiny_run):
-    words = ["view", str(tiny_run), "--port", "0", "--viewer.max-gaussians", "300"]
+def with_harmonics(run, folder):
+    """The map of a run with colours that depend on the direction of view."""
+    cloud = read_cloud(run / "map.ply")
+    shapes = cloud.ellipsoids
+    harmonics = torch.full((len(cloud), 3, 3), 0.1)
+    view_dependent = replace(cloud, ellipsoids=replace(shapes, harmonics=harmonics))
+    write_splat_ply(folder / "map.ply", view_dependent)
+    return folder / "map.ply"
+
+
+@pytest.mark.parametrize("why", ["size", "harmonics"])
+def test_the_program_streams_what_the_other_page_cannot_show(tiny_run, tmp_path, why):
+    shown = tiny_run if why == "size" else with_harmonics(tiny_run, tmp_path)
+    limit = "300" if why == "size" else "300000"
+    words = ["view", str(shown), "--port", "0", "--viewer.max-gaussians", limit]
     with subprocess.Popen(
         [sys.executable, "-m", "toolkit.cli.main", *words, "--budget", "500"],
         stdout=subprocess.PIPE,

@@ -42,11 +42,16 @@ def main(options: ViewOptions) -> int:
             "semsplat query RUN --list"
         )
     try:
-        if scene is not None and len(scene.splats) > options.viewer.max_gaussians:
+        if scene is not None and _is_streamed(scene, options.viewer.max_gaussians):
             return _stream(options, scene, text)
         return _show(options, scene, live, text)
     except KeyboardInterrupt:
         return 0
+
+
+def _is_streamed(scene: ViewerScene, max_gaussians: int) -> bool:
+    """Whether a map is too large to be sent whole, or has harmonics, which only our page draws."""
+    return len(scene.splats) > max_gaussians or scene.splats.harmonics is not None
 
 
 def _show(options: ViewOptions, scene: ViewerScene | None, live: LiveRun | None, text: str) -> int:
