@@ -1,7 +1,7 @@
 """Fusion of all submaps into one map without duplicated surfaces.
 
 Space is divided into voxels. If several submaps have a surface in a voxel, the submap that was
-optimised most there keeps its Gaussians and the others are removed. Gaussians are not averaged.
+optimised most around it keeps its Gaussians and the others are removed. Gaussians are not averaged.
 Voxels are compared instead of single Gaussians because two samplings of one surface rarely have
 the same centres. An ellipsoid may be larger than a voxel, and counts for all that it covers.
 """
@@ -39,6 +39,10 @@ VOXEL_M = 0.05
 # Minimum mass in a voxel for a surface: the sum of opacities of spheres. Ellipsoids that cover the
 # area of a voxel have `_COVERING` in total.
 _MIN_MASS, _COVERING = 2.0, 4.0
+# Side in voxels of the blocks whose steps decide where several submaps have a surface. If each voxel
+# decided for itself, submaps would alternate, with gaps between their Gaussians: 0.15 dB in a walk
+# with a HoloLens. Blocks of 8 are equal.
+_BLOCK = 4
 # Samples of an ellipsoid along each of its longer axes, in standard deviations: with these, they
 # have its covariance.
 _SAMPLES = math.sqrt(1.5) * np.array([-1.0, 0.0, 1.0])
@@ -282,7 +286,7 @@ class _VoxelStatistics:
     Attributes:
         voxels: [V] ascending int64 keys.
         weight: [V] priority for ownership: voxels with a surface precede voxels with stray
-            Gaussians, then the number of optimisation steps decides.
+            Gaussians, then the number of optimisation steps in the block decides.
         colour: [V, 3] mean colour, NaN without a surface.
     """
 
@@ -294,16 +298,17 @@ class _VoxelStatistics:
 def _voxel_statistics(submap: Submap, voxel_m: float) -> _VoxelStatistics:
     cloud = submap.gaussians.transformed(submap.T_world_submap)
     points, mass = _samples(cloud, voxel_m)
-    keys = voxel_keys(voxels_of(points.reshape(-1, 3), voxel_m))
-    voxels, inverse = np.unique(keys, return_inverse=True)
+    indices = voxels_of(points.reshape(-1, 3), voxel_m)
+    voxels, first, inverse = np.unique(voxel_keys(indices), return_index=True, return_inverse=True)
+    blocks = np.unique(voxel_keys(indices // _BLOCK), return_inverse=True)[1]
 
-    def summed(values: Array) -> Array:
+    def summed(values: Array, cells: NDArray[np.intp] = inverse) -> Array:
         weights = np.repeat(mass * values, points.shape[1])
-        return np.bincount(inverse, weights).astype(np.float64, copy=False)
+        return np.bincount(cells, weights).astype(np.float64, copy=False)
 
     total = summed(np.ones(len(mass)))
     solid = total >= _MIN_MASS
-    steps = summed(submap.optimiser.steps.double().numpy())
+    steps = summed(submap.optimiser.steps.double().numpy(), blocks)[blocks[first]]
     sums = [summed(channel) for channel in cloud.colours.double().numpy().T]
     mean = np.stack(sums, axis=1) / np.maximum(total, 1e-9)[:, None]
     mean[~solid] = np.nan
