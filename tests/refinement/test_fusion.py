@@ -53,6 +53,17 @@ def test_overlap_is_kept_from_the_submap_with_more_steps():
     assert abs(len(x) - 36000) < 2400
 
 
+def test_submaps_do_not_alternate_from_voxel_to_voxel():
+    one, other = wall(0, 0.0, 1.0, steps=10), wall(1, 0.0, 1.0, steps=10)
+    other.optimiser.steps[:] = 4 + torch.arange(len(other.gaussians)) % 13  # the same on average
+    fused = fused_of([one, other])
+    x, y = fused.gaussians.means[:, :2].numpy().T
+    blocks = np.floor(x / 0.2).astype(int) * 100 + np.floor(y / 0.2).astype(int)
+    owners = [set(fused.submap.numpy()[blocks == block]) for block in np.unique(blocks)]
+    assert all(len(owner) == 1 for owner in owners)
+    assert set().union(*owners) == {0, 1}, "both are optimised most somewhere"
+
+
 def test_colours_are_converted_to_the_exposure_of_the_first_submap():
     parts = [wall(0, 0.0, 2.0, 10, 0.4), wall(1, 1.0, 3.0, 50, 0.5)]
     fused = fused_of(parts)

@@ -39,9 +39,9 @@ VOXEL_M = 0.05
 # Minimum mass in a voxel for a surface: the sum of opacities of spheres. Ellipsoids that cover the
 # area of a voxel have `_COVERING` in total.
 _MIN_MASS, _COVERING = 2.0, 4.0
-# Side in voxels of the blocks whose steps decide where several submaps have a surface. If each voxel
-# decided for itself, submaps would alternate, with gaps between their Gaussians: 0.15 dB in a walk
-# with a HoloLens. Blocks of 8 are equal.
+# Side in voxels of the blocks whose steps decide where several submaps have a surface. If each
+# voxel decided for itself, submaps would alternate, with gaps between their Gaussians: 0.15 dB in a
+# walk with a HoloLens. Blocks of 8 are equal.
 _BLOCK = 4
 # Samples of an ellipsoid along each of its longer axes, in standard deviations: with these, they
 # have its covariance.
