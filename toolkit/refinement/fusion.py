@@ -41,7 +41,7 @@ VOXEL_M = 0.05
 _MIN_MASS, _COVERING = 2.0, 4.0
 # Side in voxels of the blocks whose steps decide where several submaps have a surface. If each
 # voxel decided for itself, submaps would alternate, with gaps between their Gaussians: 0.15 dB in a
-# walk with a HoloLens. Blocks of 8 are equal.
+# walk with a HoloLens, 1.9 dB in a room that continues a finished map. Blocks of 8 are equal.
 _BLOCK = 4
 # Samples of an ellipsoid along each of its longer axes, in standard deviations: with these, they
 # have its covariance.
