@@ -163,7 +163,8 @@ class QueryProgram:
     """Run folder."""
     nodes: Positional[tuple[str, ...]] = ()
     """Classes or groups of the taxonomy: a name, or a path such as "large items > furnishings",
-    which may start at any level. By default, the taxonomy is listed."""
+    which may start at any level. Nouns that are no names find classes of the same or a narrower
+    meaning: "couch", "seating". By default, the taxonomy is listed."""
     list: bool = False
     """Print the taxonomy with the number of Gaussians of each class and group."""
     json: bool = False

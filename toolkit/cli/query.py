@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from toolkit.cli.programs import QueryProgram
 from toolkit.io.atomic import write_bytes
 from toolkit.io.length_names import LengthNames
 from toolkit.io.meshes import write_mesh
+from toolkit.io.printable import printable
 from toolkit.runs.labelled import LabelledRun, load_labelled_run
 from toolkit.runs.meshing import MeshOptions, part_mesh, write_opaque_points
+from toolkit.semantics.lexicon.matching import match
 from toolkit.semantics.query import FLOOR_NAMES, ObjectOptions
 from toolkit.semantics.scene import SceneReader
 
@@ -29,11 +32,11 @@ def main(options: QueryProgram) -> int:
         0.
 
     Raises:
-        ToolkitError: there is no finished run with labels, a name is not in its taxonomy, nothing
-            was found, or a file cannot be written.
+        ToolkitError: there is no finished run with labels, a name matches nothing in its taxonomy,
+            nothing was found, or a file cannot be written.
     """
     labelled = load_labelled_run(options.run)
-    selected = labelled.select(options.nodes, options.min_confidence)
+    selected = _selected(options, labelled)
     reader = _reader(options, labelled)
     names = labelled.run.length_names
     print("\n".join(_output_lines(options, reader, names)))
@@ -55,6 +58,15 @@ def main(options: QueryProgram) -> int:
         )
         _log.info("Wrote the scene to %s.", options.summary)
     return 0
+
+
+def _selected(options: QueryProgram, labelled: LabelledRun) -> NDArray[np.bool_]:
+    """Return a mask [N] of the Gaussians that the words of the query mean."""
+    selected = np.zeros(len(labelled.map), bool)
+    for text in options.nodes:
+        meant = match(text, labelled.map.taxonomy)
+        selected |= labelled.select_meant(meant, options.min_confidence)
+    return selected
 
 
 def _reader(options: QueryProgram, labelled: LabelledRun) -> SceneReader:
@@ -96,7 +108,7 @@ def _tree_lines(tree: dict[str, Any]) -> Iterator[str]:
 
 def _tree_rows(nodes: list[dict[str, Any]], indent: str) -> Iterator[tuple[str, int]]:
     for node in nodes:
-        yield indent + node["name"], node["gaussians"]
+        yield indent + printable(node["name"]), node["gaussians"]
         yield from _tree_rows(node["children"], indent + "  ")
 
 
@@ -104,9 +116,13 @@ def _answer_lines(answer: dict[str, Any], names: LengthNames) -> Iterator[str]:
     objects = answer["objects"]
     area = answer["floor_area_m2"]
     floor = "" if area is None else f", {area:.2f} {names.area} of floor area"
+    if "explanation" in answer:
+        yield printable(f"Note: {answer['explanation']}.")
+    paths = answer.get("paths", [answer["path"]])
     yield (
-        f"{' > '.join(answer['path'])}: {answer['gaussians']} Gaussians, "
-        f"confidence {100.0 * answer['confidence']:.0f} %, {len(objects)} object(s){floor}"
+        f"{printable(', '.join(' > '.join(path) for path in paths))}: {answer['gaussians']} "
+        f"Gaussians, confidence {100.0 * answer['confidence']:.0f} %, {len(objects)} "
+        f"object(s){floor}"
     )
     length = names.length
     headings = (
@@ -128,7 +144,7 @@ def _row(number: int, item: dict[str, Any]) -> tuple[str, ...]:
     area = item["floor_area_m2"]
     return (
         str(number),
-        item["name"],
+        printable(item["name"]),
         str(item["gaussians"]),
         f"{100.0 * item['confidence']:.0f} %",
         " x ".join(f"{v:.2f}" for v in item["box"]["size_m"]),
