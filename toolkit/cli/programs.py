@@ -165,6 +165,17 @@ class QueryProgram:
     """Classes or groups of the taxonomy: a name, or a path such as "large items > furnishings",
     which may start at any level. Nouns that are no names find classes of the same or a narrower
     meaning: "couch", "seating". By default, the taxonomy is listed."""
+    encoder: Path | None = None
+    """Folder of a model such as CLIP or SigLIP: NODES are any texts, and objects with embeddings
+    (objects.npz) are ranked by their similarity. Exact names of classes are answered first."""
+    image: Path | None = None
+    """Image of an object to search for; needs --encoder."""
+    embedding: Path | None = None
+    """File (.npy) with the embedding of a text or image, made by the model of the objects."""
+    top: PositiveInt = 5
+    """Maximum number of objects in a ranking by similarity."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Device of the encoder; a GPU if available (auto)."""
     list: bool = False
     """Print the taxonomy with the number of Gaussians of each class and group."""
     json: bool = False

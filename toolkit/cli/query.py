@@ -12,15 +12,18 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.cli.programs import QueryProgram
+from toolkit.cli.similar_objects import ranking_lines, rankings
 from toolkit.io.atomic import write_bytes
 from toolkit.io.length_names import LengthNames
 from toolkit.io.meshes import write_mesh
 from toolkit.io.printable import printable
-from toolkit.runs.labelled import LabelledRun, load_labelled_run
+from toolkit.runs.finished import load_run
+from toolkit.runs.labelled import LabelledRun, label, load_labelled_run
 from toolkit.runs.meshing import MeshOptions, part_mesh, write_opaque_points
 from toolkit.semantics.lexicon.matching import match
 from toolkit.semantics.query import FLOOR_NAMES, ObjectOptions
 from toolkit.semantics.scene import SceneReader
+from toolkit.semantics.taxonomy import Taxonomy
 
 _log = logging.getLogger(__name__)
 
@@ -35,6 +38,8 @@ def main(options: QueryProgram) -> int:
         ToolkitError: there is no finished run with labels, a name matches nothing in its taxonomy,
             nothing was found, or a file cannot be written.
     """
+    if options.encoder or options.embedding:
+        return _search(options)
     labelled = load_labelled_run(options.run)
     selected = _selected(options, labelled)
     reader = _reader(options, labelled)
@@ -57,6 +62,27 @@ def main(options: QueryProgram) -> int:
             (_json({"metric": labelled.run.metric, **reader.summary()}) + "\n").encode(),
         )
         _log.info("Wrote the scene to %s.", options.summary)
+    return 0
+
+
+def _search(options: QueryProgram) -> int:
+    """Rank objects by their embeddings; classes with the name of a text come first."""
+    run = load_run(options.run)
+    file = run.folder.taxonomy
+    taxonomy = Taxonomy.load(file) if file.is_file() else None
+    found = rankings(options, taxonomy)
+    named = [text for text in options.nodes if taxonomy is not None and taxonomy.find_all(text)]
+    answers: list[dict[str, Any]] = []
+    if named:
+        reader = _reader(options, label(run))
+        answers = [answer for answer in map(reader.answer, named) if answer["gaussians"]]
+    if options.json:
+        print(_json([*answers, *found]))
+        return 0
+    for answer in answers:
+        print("\n".join(_answer_lines(answer, run.length_names)))
+    for ranking in found:
+        print("\n".join(ranking_lines(ranking, run.length_names.length)))
     return 0
 
 

@@ -67,14 +67,23 @@ def load_labelled_run(path: Path) -> LabelledRun:
         ToolkitError: there is no finished run, its map has no labels, or the taxonomy is missing
             or does not match the labels.
     """
-    run = load_run(path)
+    return label(load_run(path))
+
+
+def label(run: FinishedRun) -> LabelledRun:
+    """Load the labels of a finished run.
+
+    Raises:
+        ToolkitError: as `load_labelled_run`.
+    """
+    path = run.folder.path
     labels = read_splats(run.folder.map).labels
     if labels is None:
         raise RunFolderError(
             f"{run.folder.map} has no labels; run SLAM again with semantics: on a dataset with "
             "label images, or with a segmenter (see: semsplat run --help-all)"
         )
-    file = path / TAXONOMY
+    file = run.folder.taxonomy
     if not file.is_file():
         raise RunFolderError(
             f"{path} has no {TAXONOMY}, which defines the labels of the map; copy the taxonomy of "
