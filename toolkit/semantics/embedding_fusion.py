@@ -1,8 +1,8 @@
 """Fusion of the embeddings of one object over its views, robust against wrong views.
 
 Some views show another object: the mask was wrong, or the views were associated wrongly. These
-embeddings agree less with the others. The result is the weighted mean of the views that agree with
-it, found by iteration from the view that agrees best with half of the weight of the others.
+embeddings agree less with the others. The result is the weighted mean of the views that agree,
+found by iteration from the half of the views that agrees best (as least trimmed squares).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ class FusionOptions:
 
     Attributes:
         robust: leave out views that disagree; otherwise, the weighted mean of all is returned.
-        max_deviations: views are left out if their similarity to the result is below the weighted
-            median of the similarities by more than this many (robust) standard deviations.
+        max_deviations: views are left out if their similarity to the others is below the median
+            similarity of the used views by more than this many (robust) standard deviations.
         min_spread: minimum of that standard deviation, so that views which agree almost perfectly
             do not exclude each other.
     """
 
     robust: bool = True
-    max_deviations: float = 3.0
+    max_deviations: float = 2.5
     min_spread: float = 0.01
 
 
@@ -64,8 +64,10 @@ def view_weights(
 ) -> Array:
     """Return the weights [V] of views, in [0, 1].
 
-    The weight is the product of: the area relative to `full_area_px`, beyond which more pixels add
-    no detail that an encoder sees; `full_distance_m` over the distance, at most 1; and the score.
+    The weight is the score times the fourth root of the product of the area relative to
+    `full_area_px`, beyond which more pixels add no detail that an encoder sees, and of
+    `full_distance_m` over the distance, at most 1. Without the root, one near view would outweigh
+    all others, and an object would be lost if that view is wrong (`benchmarks/retrieval.py`).
 
     Args:
         areas_px: [V] visible area of the object, in pixels.
@@ -85,7 +87,7 @@ def view_weights(
         raise ValueError("scores must be at most 1")
     area = np.minimum(areas_px / full_area_px, 1.0)
     near = np.minimum(full_distance_m / np.maximum(distances_m, full_distance_m), 1.0)
-    return np.asarray(area * near * scores, np.float64)
+    return np.asarray(scores * (area * near) ** 0.25, np.float64)
 
 
 def fuse_views(
@@ -124,7 +126,7 @@ def fuse_views(
     used = weights > 0
     if not used.any():
         return None
-    if options.robust and used.sum() > 2:
+    if options.robust and used.sum() > 2:  # of two views, either can be the wrong one
         used = _agreeing(vectors, weights, options)
     mean = (weights[used, None] * vectors[used]).sum(axis=0)
     norm = np.linalg.norm(mean)
@@ -136,41 +138,37 @@ def fuse_views(
 
 
 def _agreeing(vectors: Array, weights: Array, options: FusionOptions) -> NDArray[np.bool_]:
-    """Return which views [V] agree with their common direction."""
-    centre = vectors[_most_agreeing(vectors, weights)]
-    used = np.zeros(len(vectors), bool)
+    """Return which views [V] agree; each view with a weight has one vote.
+
+    The similarity of a view is that to the mean of the other used views: its own noise would make
+    it similar to a mean that contains it.
+    """
+    voters = np.flatnonzero(weights > 0)
+    vectors = vectors[voters]
+    used = _most_agreeing_half(vectors)
     for _ in range(_MAX_ITERATIONS):
-        similarities = vectors @ centre
-        middle = weighted_median(similarities, weights)
-        spread = _SIGMA_PER_MAD * weighted_median(np.abs(similarities - middle), weights)
-        limit = middle - options.max_deviations * max(spread, options.min_spread)
-        before, used = used, (similarities >= limit) & (weights > 0)
+        others = (used @ vectors) - used[:, None] * vectors
+        similarities = (vectors * unit_rows(others)).sum(axis=1)
+        middle = np.median(similarities[used])
+        spread = _SIGMA_PER_MAD * np.median(np.abs(similarities[used] - middle))
+        limit = middle - options.max_deviations * max(float(spread), options.min_spread)
+        before, used = used, similarities >= limit
         if (used == before).all():
             break
-        mean = (weights[used, None] * vectors[used]).sum(axis=0)
-        centre = mean / np.linalg.norm(mean)
-    return used
+    agreeing = np.zeros(len(weights), bool)
+    agreeing[voters[used]] = True
+    return agreeing
 
 
-def _most_agreeing(vectors: Array, weights: Array) -> int:
-    """Return the view whose weighted median similarity to the views is greatest.
+def _most_agreeing_half(vectors: Array) -> NDArray[np.bool_]:
+    """Return the half of the views [V] with the greatest median similarity to the others.
 
-    If more than half of the weight is right, a wrong view cannot be chosen, however much the wrong
-    ones agree with each other.
+    As long as more than half of the views are right, wrong ones have small medians, even if they
+    all show the same other object.
     """
     similarities = vectors @ vectors.T
-    medians = np.array([weighted_median(row, weights) for row in similarities])
-    medians[weights == 0] = -np.inf
-    return int(np.argmax(medians))
-
-
-def weighted_median(values: Array, weights: Array) -> float:
-    """Return the value up to which half of the weight lies.
-
-    Args:
-        values: [N].
-        weights: [N] not negative, not all zero.
-    """
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+    np.fill_diagonal(similarities, np.nan)
+    medians = np.nanmedian(similarities, axis=1)
+    chosen = np.zeros(len(vectors), bool)
+    chosen[np.argsort(-medians, kind="stable")[: len(vectors) // 2 + 1]] = True
+    return chosen
