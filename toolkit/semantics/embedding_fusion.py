@@ -127,7 +127,7 @@ def fuse_views(
     if not used.any():
         return None
     if options.robust and used.sum() > 2:  # of two views, either can be the wrong one
-        used = _agreeing(vectors, weights, options)
+        used = _agreeing(vectors, weights.astype(np.float64), options)
     mean = (weights[used, None] * vectors[used]).sum(axis=0)
     norm = np.linalg.norm(mean)
     if norm == 0:
