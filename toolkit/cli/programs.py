@@ -15,6 +15,7 @@ from tyro.conf import Positional
 from toolkit.cli.batch_programs import RefineOptions, RunManyOptions
 from toolkit.cli.map_programs import (
     EditOptions,
+    EmbedObjectsOptions,
     ExportOptions,
     ServeOptions,
     ViewOptions,
@@ -375,6 +376,7 @@ PROGRAMS: dict[str, type] = {
     "explain-loops": ExplainLoopsOptions,
     "register": RegisterOptions,
     "query": QueryProgram,
+    "embed-objects": EmbedObjectsOptions,
     "serve": ServeOptions,
     "check-data": CheckDataOptions,
     "make-room": MakeRoomOptions,

@@ -14,6 +14,7 @@ from toolkit.errors import FormatError
 from toolkit.io.images import read_rgb
 from toolkit.io.object_embeddings import OBJECTS, ObjectEmbeddings, read_objects
 from toolkit.io.printable import printable
+from toolkit.io.visualisation import colour_image
 from toolkit.semantics.lexicon.matching import check_query
 from toolkit.semantics.object_search import rank_objects
 from toolkit.semantics.taxonomy import VOID, Taxonomy
@@ -85,7 +86,7 @@ def _queries(options: QueryProgram) -> Iterator[tuple[str, NDArray[np.floating],
         for text in options.nodes:
             yield text, encoder.embed_texts([text])[0], encoder.name
         if options.image is not None:
-            image = (255.0 * read_rgb(options.image)).round().astype(np.uint8)
+            image = colour_image(read_rgb(options.image))
             yield options.image.name, encoder.embed_images([image])[0], encoder.name
     if options.embedding is not None:
         yield options.embedding.name, _read_embedding(options.embedding), None
