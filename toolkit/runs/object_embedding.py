@@ -116,7 +116,7 @@ def embed_objects(
             fused[number] = found
     hidden = len(objects) - len(fused)
     _log.info("Embedded %d objects from %d views; %d are hidden.", len(fused), len(views), hidden)
-    return _collected(labelled, objects, fused, encoder.name)
+    return _collected(objects, fused, encoder.name)
 
 
 def find_views(
@@ -213,10 +213,7 @@ def _embedded(
 
 
 def _collected(
-    labelled: LabelledRun,
-    objects: Sequence[SceneObject],
-    fused: dict[int, FusedEmbedding],
-    model: str,
+    objects: Sequence[SceneObject], fused: dict[int, FusedEmbedding], model: str
 ) -> ObjectEmbeddings:
     nodes = [objects[number].node for number in fused]
     centres_m = [objects[number].box.centre_m for number in fused]
