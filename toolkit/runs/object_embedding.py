@@ -141,12 +141,19 @@ def find_views(
 
 
 def best_views(views: Sequence[ObjectView], count: int) -> list[ObjectView]:
-    """Return the views of each object with the greatest weights, in the order of the frames."""
-    ranked = sorted(views, key=lambda view: (view.number, -view.weight, view.frame))
-    kept: dict[int, list[ObjectView]] = {}
-    for view in ranked:
-        kept.setdefault(view.number, []).append(view)
-    best = [view for found in kept.values() for view in found[:count]]
+    """Return at most some views of each object, in the order of the frames.
+
+    The views of an object are divided into parts of consecutive frames, of each of which the view
+    with the greatest weight is taken: the best views of all would be nearly the same.
+    """
+    found: dict[int, list[ObjectView]] = {}
+    for view in sorted(views, key=lambda view: view.frame):
+        found.setdefault(view.number, []).append(view)
+    best = [
+        max((seen[place] for place in part), key=lambda view: view.weight)
+        for seen in found.values()
+        for part in np.array_split(np.arange(len(seen)), min(count, len(seen)))
+    ]
     return sorted(best, key=lambda view: (view.frame, view.number))
 
 

@@ -62,9 +62,11 @@ def match(text: str, taxonomy: Taxonomy, lexicon: Lexicon | None = None) -> Matc
     Raises:
         FormatError: nothing matches, or several things do; the message lists what is near.
     """
-    check_query(text)
-    if ">" in text or taxonomy.find_all(text):
+    if taxonomy.find_all(text):
         return Match(text, (taxonomy.find(text),))
+    check_query(text)
+    if ">" in text:
+        return Match(text, (taxonomy.find(text),))  # raises the error, with similar names
     lexicon = lexicon or load_lexicon()
     for noun in _endings(folded(text)):
         named = [name for name in forms(noun) if taxonomy.find_all(name)]
@@ -76,7 +78,7 @@ def match(text: str, taxonomy: Taxonomy, lexicon: Lexicon | None = None) -> Matc
         if meanings:
             return _by_meaning(text, noun, meanings, taxonomy, lexicon)
     try:
-        return Match(text, (taxonomy.find(text),))  # raises an error with similar names
+        return Match(text, (taxonomy.find(text),))
     except FormatError as error:
         raise FormatError(str(error) if "?" in str(error) else f"{error}; {_REMEDY}") from None
 
