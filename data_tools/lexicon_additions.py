@@ -79,7 +79,7 @@ SYNONYMS = {
     "waste bin": "ashcan%1:06:00",
 }
 
-# Further kinds: the first meaning is a kind of the others.
+# Further kinds: the first meaning is a kind of the second.
 KINDS = {
     "beanbag%1:06:00": "seat%1:06:01",
     "bookcase%1:06:00": "bookshelf%1:06:00",
@@ -87,10 +87,12 @@ KINDS = {
     "cupboard%1:06:00": "cabinet%1:06:00",
     "lamp%1:06:00": "light%1:06:00",
     "lamp%1:06:01": "light%1:06:00",
+    "monitor%1:06:02": "screen%1:06:05",
     "mug%1:06:00": "cup%1:06:00",
     "photograph%1:06:00": "picture%1:06:00",
     "pot_plant%1:20:00": "houseplant%1:20:00",
     "stairs%1:06:00": "stairway%1:06:00",
+    "television_receiver%1:06:00": "screen%1:06:05",
     "wastepaper_basket%1:06:00": "bin%1:06:00",
 }
 
