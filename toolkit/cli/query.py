@@ -71,11 +71,11 @@ def _search(options: QueryProgram) -> int:
     file = run.folder.taxonomy
     taxonomy = Taxonomy.load(file) if file.is_file() else None
     found = rankings(options, taxonomy)
-    named = [text for text in options.nodes if taxonomy is not None and taxonomy.find_all(text)]
     answers: list[dict[str, Any]] = []
-    if named:
+    if taxonomy is not None and any(map(taxonomy.find_all, options.nodes)):
         reader = _reader(options, label(run))
-        answers = [answer for answer in map(reader.answer, named) if answer["gaussians"]]
+        named = map(reader.answer, reader.map.known(options.nodes))
+        answers = [answer for answer in named if answer["gaussians"]]
     if options.json:
         print(_json([*answers, *found]))
         return 0
