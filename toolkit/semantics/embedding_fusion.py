@@ -17,6 +17,7 @@ from toolkit.io.object_embeddings import unit_rows
 Array = NDArray[np.float64]
 
 _MAX_ITERATIONS = 20
+_MIN_NORM = 1e-9
 # Standard deviation of a normal distribution over its median absolute deviation.
 _SIGMA_PER_MAD = 1.4826
 
@@ -130,7 +131,7 @@ def fuse_views(
         used = _agreeing(vectors, weights.astype(np.float64), options)
     mean = (weights[used, None] * vectors[used]).sum(axis=0)
     norm = np.linalg.norm(mean)
-    if norm == 0:
+    if norm < _MIN_NORM:  # the views cancel each other out
         return None
     centre = mean / norm
     agreement = float(np.average(vectors[used] @ centre, weights=weights[used]))
