@@ -12,8 +12,8 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.features.faiss_library import faiss
 from toolkit.features.vlad import encoder_keypoints, root_sift
-from toolkit.loops.retrieval import faiss
 from toolkit.synthetic_rooms import SensorModel, tiny_room
 
 _SEEDS = range(100, 108)

@@ -51,6 +51,11 @@ API = {
     "Semantics": (
         "toolkit.semantics.taxonomy.Taxonomy",
         "toolkit.semantics.query.LabelledMap",
+        "toolkit.semantics.lexicon.matching.match",
+        "toolkit.semantics.embedding_fusion.fuse_views",
+        "toolkit.io.object_embeddings.ObjectEmbeddings",
+        "toolkit.io.object_embeddings.read_objects",
+        "toolkit.io.object_embeddings.write_objects",
         "toolkit.taxonomy_building.builder.build_taxonomy",
     ),
     "Geometry": (

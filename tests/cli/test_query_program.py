@@ -131,9 +131,34 @@ def test_without_a_floor_it_says_so(finished, capsys):
     assert "No floor was found" in capsys.readouterr().out
 
 
+def test_nouns_find_classes_by_their_meaning(finished, tmp_path, capsys):
+    cloud = tmp_path / "seats.ply"
+    assert main(["query", str(finished), "red armchairs", "--cloud", str(cloud)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(
+        "Note: no class is called 'red armchairs'; 'armchairs' is a kind of 'chair' (lexicon).\n"
+    )
+    assert len(open3d().io.read_point_cloud(str(cloud)).points) == 936
+    (answer,) = printed_json(capsys, finished, "furniture")
+    assert answer["path"] == ["large items", "furnishings"]
+    assert [path[-1] for path in answer["paths"]] == ["chair", "sofa", "table"]
+    assert answer["asked"] == "furniture"
+    assert "it includes 'chair', 'sofa' and 'table'" in answer["explanation"]
+    assert sorted(o["name"] for o in answer["objects"]) == ["chair", "chair", "table"]
+    (exact,) = printed_json(capsys, finished, "chair")
+    assert "explanation" not in exact
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (["couch"], "contains no 'couch' (no class is called 'couch'; 'sofa' means the same"),
+        (["toaster"], "no class or group of taxonomy 'room' means 'toaster'; list its classes"),
+        (["ottoman"], "near in meaning: 'chair', 'sofa' and 'table'"),
+        (["x" * 10_000], "has 10000 characters; give at most 200"),
+        (["\x1b[31mchair\u202e"], "no class or group '\\x1b[31mchair\\u202e'"),
+        (["../../etc/passwd"], "no class or group '../../etc/passwd'"),
+        (["<script>"], "no class or group '<script>'"),
         (["chiar"], "no class or group 'chiar' in taxonomy 'room'; did you mean chair"),
         (["sofa"], "contains no 'sofa'; list its classes with: semsplat query RUN --list"),
         (["chair", "sofa"], "contains no 'sofa'"),

@@ -139,6 +139,10 @@ def test_queries_and_objects_agree_with_the_programs(client: TestClient, tiny_ru
         node = node["children"][0]
     answer = client.get("/query", params={"name": node["name"], "min_gaussians": 5}).json()
     assert answer["path"][-1] == node["name"] and answer["gaussians"] == node["gaussians"]
+    plural = {"name": f"big {node['name']}s", "min_gaussians": 5}
+    meant = client.get("/query", params=plural).json()
+    assert meant["explanation"].endswith(f"searched for '{node['name']}'")
+    assert meant["gaussians"] == node["gaussians"]
     words = ["export", str(tiny_run), "--format", "scene-graph", "--to", str(tmp_path / "s.json")]
     status = main(words)
     response = client.get("/objects")

@@ -99,6 +99,8 @@ def _check_query(options: QueryProgram) -> None:
 
     if options.nodes and options.list:
         raise SettingsError("give names or --list, not both")
+    if options.encoder or options.embedding or options.image:
+        _check_search(options)
     if not options.nodes and (options.cloud or options.mesh):
         raise SettingsError("--cloud and --mesh need the names of the classes to write")
     for option, path, suffixes in (
@@ -108,6 +110,25 @@ def _check_query(options: QueryProgram) -> None:
     ):
         if path is not None:
             check_output(option, path, suffixes)
+
+
+def _check_search(options: QueryProgram) -> None:
+    """Check the options of a ranking by embeddings."""
+    if options.encoder is None:
+        if options.image is not None:
+            raise SettingsError("--image needs --encoder, the folder of a model")
+        if options.nodes:
+            raise SettingsError(
+                "texts are compared with embeddings by --encoder, the folder of a model; give it, "
+                "or --embedding alone"
+            )
+    elif not options.nodes and options.image is None:
+        raise SettingsError("give a text or --image to search for with --encoder")
+    if options.list or options.cloud or options.mesh or options.summary:
+        raise SettingsError(
+            "--list, --cloud, --mesh and --summary are for queries by class, not for --encoder, "
+            "--image and --embedding"
+        )
 
 
 def _check_video(options: RenderProgram) -> None:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 
 from toolkit.errors import ToolkitError
+from toolkit.io.printable import printable
 
 logger = logging.getLogger(__name__)
 
@@ -87,4 +88,4 @@ def _is_torch_memory_error(error: Exception) -> bool:
 
 
 def _one_line(text: str) -> str:
-    return " ".join(text.split())
+    return printable(" ".join(text.split()))

@@ -32,6 +32,7 @@ JOBS = {
     "explain-loops": ("explain_loops", "draw the loop candidates of a run and their results"),
     "register": ("register", "register the maps of two runs and merge them"),
     "query": ("query", "count, locate and measure the objects of a labelled map"),
+    "embed-objects": ("embed_objects", "embed objects with CLIP or SigLIP for queries by text"),
     "serve": ("serve", "serve views, poses, queries and objects of a run over HTTP"),
     "check-data": ("check_data", "read a dataset and report its defects"),
     "make-room": ("make_room", "create a synthetic room with ground truth"),

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional
 
 from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions
-from toolkit.options import Fraction, PositiveFloat, PositiveInt, Range
+from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
 from toolkit.serving.options import ServiceLimits
 from toolkit.viewer.options import ShownContent
 
@@ -133,6 +133,36 @@ class EditOptions:
     """Minimum confidence of the class of an edited Gaussian."""
     every: PositiveInt = 10
     """Interval of the poses of the run that are rendered: every n-th one."""
+
+
+@dataclass(frozen=True)
+class EmbedObjectsOptions:
+    """Embed the objects of a labelled map with a model such as CLIP or SigLIP, for `semsplat query
+    --encoder`; write objects.npz into the run folder."""
+
+    run: Positional[Path]
+    """Run folder."""
+    encoder: Path
+    """Folder of a model such as CLIP or SigLIP (transformers)."""
+    dataset: Path | None = None
+    """Folder of the dataset, if it was moved after the run."""
+    max_keyframes: PositiveInt = 100
+    """Maximum number of keyframes that are searched for views of objects, evenly spaced."""
+    max_views: PositiveInt = 12
+    """Maximum number of views of each object."""
+    codes: NonNegativeInt = 0
+    """Bytes per embedding, by product quantisation (FAISS): a divisor of the dimensions of the
+    model. It saves space from about 300 objects on. By default (0), values have 16 bits."""
+    replace: bool = False
+    """Replace existing embeddings."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Device of the encoder; a GPU if available (auto)."""
+    min_confidence: Fraction = 0.0
+    """Minimum confidence of the class of a Gaussian."""
+    link_m: PositiveFloat = 0.06
+    """Maximum distance between neighbouring Gaussians of one object, in metres."""
+    min_gaussians: PositiveInt = 50
+    """Minimum number of Gaussians of an object."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from tyro.conf import Positional
 from toolkit.cli.batch_programs import RefineOptions, RunManyOptions
 from toolkit.cli.map_programs import (
     EditOptions,
+    EmbedObjectsOptions,
     ExportOptions,
     ServeOptions,
     ViewOptions,
@@ -163,7 +164,19 @@ class QueryProgram:
     """Run folder."""
     nodes: Positional[tuple[str, ...]] = ()
     """Classes or groups of the taxonomy: a name, or a path such as "large items > furnishings",
-    which may start at any level. By default, the taxonomy is listed."""
+    which may start at any level. Nouns that are no names find classes of the same or a narrower
+    meaning: "couch", "seating". By default, the taxonomy is listed."""
+    encoder: Path | None = None
+    """Folder of a model such as CLIP or SigLIP: NODES are any texts, and objects with embeddings
+    (objects.npz) are ranked by their similarity. Exact names of classes are answered first."""
+    image: Path | None = None
+    """Image of an object to search for; needs --encoder."""
+    embedding: Path | None = None
+    """File (.npy) with the embedding of a text or image, made by the model of the objects."""
+    top: PositiveInt = 5
+    """Maximum number of objects in a ranking by similarity."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Device of the encoder; a GPU if available (auto)."""
     list: bool = False
     """Print the taxonomy with the number of Gaussians of each class and group."""
     json: bool = False
@@ -363,6 +376,7 @@ PROGRAMS: dict[str, type] = {
     "explain-loops": ExplainLoopsOptions,
     "register": RegisterOptions,
     "query": QueryProgram,
+    "embed-objects": EmbedObjectsOptions,
     "serve": ServeOptions,
     "check-data": CheckDataOptions,
     "make-room": MakeRoomOptions,

@@ -9,15 +9,21 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from toolkit.cli.programs import QueryProgram
+from toolkit.cli.similar_objects import ranking_lines, rankings
 from toolkit.io.atomic import write_bytes
 from toolkit.io.length_names import LengthNames
 from toolkit.io.meshes import write_mesh
-from toolkit.runs.labelled import LabelledRun, load_labelled_run
+from toolkit.io.printable import printable
+from toolkit.runs.finished import load_run
+from toolkit.runs.labelled import LabelledRun, label, load_labelled_run
 from toolkit.runs.meshing import MeshOptions, part_mesh, write_opaque_points
+from toolkit.semantics.lexicon.matching import match
 from toolkit.semantics.query import FLOOR_NAMES, ObjectOptions
 from toolkit.semantics.scene import SceneReader
+from toolkit.semantics.taxonomy import Taxonomy
 
 _log = logging.getLogger(__name__)
 
@@ -29,11 +35,13 @@ def main(options: QueryProgram) -> int:
         0.
 
     Raises:
-        ToolkitError: there is no finished run with labels, a name is not in its taxonomy, nothing
-            was found, or a file cannot be written.
+        ToolkitError: there is no finished run with labels, a name matches nothing in its taxonomy,
+            nothing was found, or a file cannot be written.
     """
+    if options.encoder or options.embedding:
+        return _search(options)
     labelled = load_labelled_run(options.run)
-    selected = labelled.select(options.nodes, options.min_confidence)
+    selected = _selected(options, labelled)
     reader = _reader(options, labelled)
     names = labelled.run.length_names
     print("\n".join(_output_lines(options, reader, names)))
@@ -55,6 +63,36 @@ def main(options: QueryProgram) -> int:
         )
         _log.info("Wrote the scene to %s.", options.summary)
     return 0
+
+
+def _search(options: QueryProgram) -> int:
+    """Rank objects by their embeddings; classes with the name of a text come first."""
+    run = load_run(options.run)
+    file = run.folder.taxonomy
+    taxonomy = Taxonomy.load(file) if file.is_file() else None
+    found = rankings(options, taxonomy)
+    answers: list[dict[str, Any]] = []
+    if taxonomy is not None and any(map(taxonomy.find_all, options.nodes)):
+        reader = _reader(options, label(run))
+        named = map(reader.answer, reader.map.known(options.nodes))
+        answers = [answer for answer in named if answer["gaussians"]]
+    if options.json:
+        print(_json([*answers, *found]))
+        return 0
+    for answer in answers:
+        print("\n".join(_answer_lines(answer, run.length_names)))
+    for ranking in found:
+        print("\n".join(ranking_lines(ranking, run.length_names.length)))
+    return 0
+
+
+def _selected(options: QueryProgram, labelled: LabelledRun) -> NDArray[np.bool_]:
+    """Return a mask [N] of the Gaussians that the words of the query mean."""
+    selected = np.zeros(len(labelled.map), bool)
+    for text in options.nodes:
+        meant = match(text, labelled.map.taxonomy)
+        selected |= labelled.select_meant(meant, options.min_confidence)
+    return selected
 
 
 def _reader(options: QueryProgram, labelled: LabelledRun) -> SceneReader:
@@ -96,7 +134,7 @@ def _tree_lines(tree: dict[str, Any]) -> Iterator[str]:
 
 def _tree_rows(nodes: list[dict[str, Any]], indent: str) -> Iterator[tuple[str, int]]:
     for node in nodes:
-        yield indent + node["name"], node["gaussians"]
+        yield indent + printable(node["name"]), node["gaussians"]
         yield from _tree_rows(node["children"], indent + "  ")
 
 
@@ -104,9 +142,13 @@ def _answer_lines(answer: dict[str, Any], names: LengthNames) -> Iterator[str]:
     objects = answer["objects"]
     area = answer["floor_area_m2"]
     floor = "" if area is None else f", {area:.2f} {names.area} of floor area"
+    if "explanation" in answer:
+        yield printable(f"Note: {answer['explanation']}.")
+    paths = answer.get("paths", [answer["path"]])
     yield (
-        f"{' > '.join(answer['path'])}: {answer['gaussians']} Gaussians, "
-        f"confidence {100.0 * answer['confidence']:.0f} %, {len(objects)} object(s){floor}"
+        f"{printable(', '.join(' > '.join(path) for path in paths))}: {answer['gaussians']} "
+        f"Gaussians, confidence {100.0 * answer['confidence']:.0f} %, {len(objects)} "
+        f"object(s){floor}"
     )
     length = names.length
     headings = (
@@ -128,7 +170,7 @@ def _row(number: int, item: dict[str, Any]) -> tuple[str, ...]:
     area = item["floor_area_m2"]
     return (
         str(number),
-        item["name"],
+        printable(item["name"]),
         str(item["gaussians"]),
         f"{100.0 * item['confidence']:.0f} %",
         " x ".join(f"{v:.2f}" for v in item["box"]["size_m"]),

@@ -1,17 +1,15 @@
-"""Nearest-neighbour search over keyframe descriptors; the only module that imports FAISS."""
+"""Nearest-neighbour search over keyframe descriptors with FAISS."""
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DependencyError
+from toolkit.features.faiss_library import faiss
 
 _UNIT_TOLERANCE = 1e-3
 
@@ -116,22 +114,6 @@ class DescriptorIndex:
         if not abs(float(np.linalg.norm(row)) - 1.0) < _UNIT_TOLERANCE:
             raise ValueError(f"a descriptor must have unit norm, got {np.linalg.norm(row):.3f}")
         return row
-
-
-@functools.cache
-def faiss() -> ModuleType:
-    """Import faiss.
-
-    Raises:
-        DependencyError: faiss cannot be loaded.
-    """
-    try:
-        import faiss as module
-    except (ImportError, OSError) as error:
-        raise DependencyError(
-            f"FAISS cannot be loaded ({error}); fix it with: pip install faiss-cpu"
-        ) from error
-    return module
 
 
 def _neighbour(keyframe: int, squared_distance: float) -> Neighbour:

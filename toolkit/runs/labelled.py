@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError, RunFolderError, ToolkitError
 from toolkit.io.splats import read_splats
 from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.semantics.lexicon.matching import Match
 from toolkit.semantics.query import LabelledMap
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -34,15 +35,29 @@ class LabelledRun:
         """
         selected = np.zeros(len(self.map), bool)
         for name in names:
-            mask = self.map.selected([name], min_confidence)
-            if not mask.any():
-                confidence = f" with confidence {min_confidence:g} or more" * (min_confidence > 0)
-                raise ToolkitError(
-                    f"{self.run.folder.path} contains no '{name}'{confidence}; "
-                    "list its classes with: semsplat query RUN --list"
-                )
-            selected |= mask
+            selected |= self._members(f"'{name}'", [name], min_confidence)
         return selected
+
+    def select_meant(self, meant: Match, min_confidence: float = 0.0) -> NDArray[np.bool_]:
+        """Return a mask [N] of the Gaussians that a text means.
+
+        Raises:
+            ToolkitError: there are none.
+        """
+        reason = f" ({meant.explanation})" if meant.explanation else ""
+        return self._members(
+            f"'{meant.text}'{reason}", [str(node) for node in meant.nodes], min_confidence
+        )
+
+    def _members(self, what: str, nodes: Sequence[str], min_confidence: float) -> NDArray[np.bool_]:
+        mask = self.map.selected(nodes, min_confidence)
+        if not mask.any():
+            confidence = f" with confidence {min_confidence:g} or more" * (min_confidence > 0)
+            raise ToolkitError(
+                f"{self.run.folder.path} contains no {what}{confidence}; "
+                "list its classes with: semsplat query RUN --list"
+            )
+        return mask
 
 
 def load_labelled_run(path: Path) -> LabelledRun:
@@ -52,14 +67,23 @@ def load_labelled_run(path: Path) -> LabelledRun:
         ToolkitError: there is no finished run, its map has no labels, or the taxonomy is missing
             or does not match the labels.
     """
-    run = load_run(path)
+    return label(load_run(path))
+
+
+def label(run: FinishedRun) -> LabelledRun:
+    """Load the labels of a finished run.
+
+    Raises:
+        ToolkitError: as `load_labelled_run`.
+    """
+    path = run.folder.path
     labels = read_splats(run.folder.map).labels
     if labels is None:
         raise RunFolderError(
             f"{run.folder.map} has no labels; run SLAM again with semantics: on a dataset with "
             "label images, or with a segmenter (see: semsplat run --help-all)"
         )
-    file = path / TAXONOMY
+    file = run.folder.taxonomy
     if not file.is_file():
         raise RunFolderError(
             f"{path} has no {TAXONOMY}, which defines the labels of the map; copy the taxonomy of "

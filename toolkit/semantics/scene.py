@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.semantics.boxes import Ground, OrientedBox, floor_area_m2, oriented_box
+from toolkit.semantics.lexicon.matching import match
 from toolkit.semantics.query import (
     CEILING_NAMES,
     FLOOR_NAMES,
@@ -50,17 +52,30 @@ class SceneReader:
         """
         return self.known_ground or self.map.ground(self.floor)
 
-    def answer(self, name: str) -> dict[str, Any]:
-        """Describe a class or group: Gaussians, confidence, floor area and objects.
+    def answer(self, text: str) -> dict[str, Any]:
+        """Describe what a text means: Gaussians, confidence, floor area and objects.
+
+        For a text that is not the name or path of a node, the answer also has the text (`asked`),
+        the nodes (`paths`) and the reason for them (`explanation`); `path` is what they share.
+
+        Args:
+            text: a name, path or noun that `match` understands.
 
         Raises:
-            FormatError: the name is not in the tree, or is ambiguous.
+            FormatError: nothing in the tree matches, or several things do.
         """
-        node = self.map.taxonomy.find(name)
-        members = self.map.members(node, self.options.min_confidence)
-        objects = self.map.objects(node, self.ground, self.options)
+        meant = match(text, self.map.taxonomy)
+        members = np.zeros(len(self.map), bool)
+        objects: list[SceneObject] = []
+        for node in meant.nodes:
+            members |= self.map.members(node, self.options.min_confidence)
+            objects += self.map.objects(node, self.ground, self.options)
+        objects.sort(key=lambda found: -len(found))
+        paths = [list(node.path) for node in meant.nodes]
+        reason = {"asked": text, "paths": paths, "explanation": meant.explanation}
         return {
-            "path": list(node.path),
+            "path": _shared(paths),
+            **(reason if meant.explanation else {}),
             "gaussians": int(members.sum()),
             "confidence": self._confidence(members),
             "floor_area_m2": self._area([found.index for found in objects]),
@@ -160,6 +175,12 @@ class SceneReader:
         if not members.any():
             return None
         return round(float(self.map.labels.confidence[members].mean()), _DECIMALS)
+
+
+def _shared(paths: Sequence[list[str]]) -> list[str]:
+    """Return the names that all paths start with."""
+    steps = zip(*paths, strict=False)
+    return [names[0] for names in itertools.takewhile(lambda names: len(set(names)) == 1, steps)]
 
 
 def _box_values(box: OrientedBox) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -14,6 +15,7 @@ from toolkit.errors import DependencyError, FormatError
 
 _REMEDY = "pip install 'semsplat[semantics]'"
 _MAX_REASON_LENGTH = 200
+_VOCABULARIES = ("tokenizer.json", "vocab.json", "spiece.model", "tokenizer.model", "vocab.txt")
 
 
 def transformers() -> ModuleType:
@@ -74,6 +76,34 @@ def load_image_processor(folder: Path) -> Any:
         return library.AutoImageProcessor.from_pretrained(
             folder, local_files_only=True, backend="pil"
         )
+
+
+def load_tokenizer(folder: Path) -> Any:
+    """Load the model's tokenizer.
+
+    Raises:
+        DependencyError: transformers cannot be loaded.
+        FormatError: the folder contains no supported tokenizer.
+    """
+    library = transformers()
+    check_folder(folder)
+    # transformers replaces a missing vocabulary by an empty one.
+    if not any((folder / name).is_file() for name in _VOCABULARIES):
+        raise FormatError(
+            f"{folder} contains no tokenizer ({' or '.join(_VOCABULARIES)}); download it again, or "
+            "set another folder"
+        )
+    with _quiet(library), _as_format_error(folder, "no tokenizer"):
+        return library.AutoTokenizer.from_pretrained(folder, local_files_only=True)
+
+
+def weights_digest(model: Any) -> str:
+    """Return the SHA-256 of the weights: other copies of a model have the same, others do not."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(model.state_dict().items()):
+        digest.update(name.encode())
+        digest.update(tensor.cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()
 
 
 def check_folder(folder: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import inspect
 import json
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ import torch
 from torch import Tensor
 
 from toolkit.errors import FormatError
-from toolkit.features.pretrained.loading import device_of, load_model
+from toolkit.features.pretrained.loading import device_of, load_model, weights_digest
 
 # ImageNet statistics, for models without preprocessor_config.json.
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -74,11 +73,7 @@ class VisionTransformer:
     @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the weights, to detect heads that were trained on another model's tokens."""
-        digest = hashlib.sha256()
-        for name, tensor in sorted(self._model.state_dict().items()):
-            digest.update(name.encode())
-            digest.update(tensor.cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
-        return digest.hexdigest()
+        return weights_digest(self._model)
 
     def tokens(self, images: Tensor) -> PatchTokens:
         """Compute tokens of images on the model's device, differentiable in the images.
