@@ -89,17 +89,23 @@ def occupancy_grid(
         )
     obstacle = (height_m >= options.min_height_m) & (height_m <= options.max_height_m)
     floor = np.abs(height_m) < options.min_height_m
-    origin_m = low * options.cell_m
-
-    def covered(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
-        places = (points_m[mask, :2] - origin_m) / options.cell_m
-        return _counts(places, _DISC_SIGMAS * radii_m[mask] / options.cell_m, (rows, columns))
-
+    origin_m = (float(low[0] * options.cell_m), float(low[1] * options.cell_m))
     cells = np.full((rows, columns), UNKNOWN, np.int8)
-    cells[covered(floor) > 0] = FREE
-    cells[covered(obstacle) >= options.min_gaussians] = OCCUPIED
-    origin = (float(origin_m[0]), float(origin_m[1]))
-    return OccupancyGrid(cells, options.cell_m, origin, T_grid_map)
+    grid = OccupancyGrid(cells, options.cell_m, origin_m, T_grid_map)
+    cells[covering(grid, means_m[floor], radii_m[floor]) > 0] = FREE
+    occupied = covering(grid, means_m[obstacle], radii_m[obstacle]) >= options.min_gaussians
+    cells[occupied] = OCCUPIED
+    return grid
+
+
+def covering(
+    grid: OccupancyGrid, means_m: NDArray[np.float64], radii_m: NDArray[np.float64]
+) -> NDArray[np.int32]:
+    """Return the number [H, W] of Gaussians that cover each cell of a grid, all within it."""
+    points_m = se3.transform_points(grid.T_grid_map, means_m)
+    places = (points_m[:, :2] - grid.origin_m) / grid.cell_m
+    rows, columns = grid.cells.shape
+    return _counts(places, _DISC_SIGMAS * radii_m / grid.cell_m, (rows, columns))
 
 
 def grid_from_map(ground: Ground) -> NDArray[np.float64]:
