@@ -79,7 +79,7 @@ def _check_export(options: ExportOptions) -> None:
         "labelled-points": LABELLED_SUFFIXES,
         "gltf": GLTF_SUFFIXES,
         "occupancy-grid": (".yaml",),
-        "scene-graph": (".json",),
+        "scene-graph": (".json", ".jsonld", ".graphml"),
         "floor-plan": (".png",),
         "trajectory": (".txt", ".tum"),
         "viewer": (".html",),

@@ -115,7 +115,10 @@ def _occupancy_grid(options: ExportOptions, selection: SelectedGaussians) -> str
 
 
 def _scene_graph(options: ExportOptions, selection: SelectedGaussians) -> str:
-    return str(export_scene_graph(options.to, selection, options.objects, options.floor))
+    graph = export_scene_graph(
+        options.to, selection, options.objects, options.floor, options.grid
+    )
+    return str(graph)
 
 
 def _floor_plan(options: ExportOptions, selection: SelectedGaussians) -> str:

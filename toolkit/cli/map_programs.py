@@ -30,7 +30,8 @@ class ExportOptions:
     """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply,
     .compressed.ply, .splat, .spz, .sog, .splats.glb, .splats.gltf, .usda, .usdc, .usd, .usdz), mesh
     (.mesh.ply), points (.pcd), gltf, a mesh (.glb, .gltf), labelled-points (.las, .laz),
-    occupancy-grid (.yaml), trajectory (.txt, .tum) or viewer (.html)."""
+    occupancy-grid (.yaml), scene-graph (.jsonld, .graphml), trajectory (.txt, .tum) or viewer
+    (.html)."""
     spz_version: Literal[2, 3, 4] = 4
     """Version of .spz files; more viewers read the versions 2 and 3, and version 2 has coarser
     rotations."""
@@ -86,6 +87,8 @@ _FORMATS_BY_SUFFIX: dict[str, ExportFormat] = {
     ".txt": "trajectory",
     ".tum": "trajectory",
     ".html": "viewer",
+    ".jsonld": "scene-graph",
+    ".graphml": "scene-graph",
 }
 
 

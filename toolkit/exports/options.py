@@ -51,3 +51,7 @@ class ObjectGraphOptions:
     """Maximum vertical gap between an object and the one that supports it, in metres."""
     next_to_m: PositiveFloat = 0.3
     """Maximum distance between objects that are next to each other, in metres."""
+    facing_m: PositiveFloat = 2.5
+    """Maximum distance from a seat or screen to the object that it faces, in metres."""
+    max_door_m: PositiveFloat = 1.4
+    """Maximum width of a passage that separates two rooms, in metres."""

@@ -20,7 +20,8 @@ from toolkit.semantics.facing import front_of
 
 Array = NDArray[np.float64]
 RelationKind = Literal["on", "in", "next to", "above", "facing"]
-Role = Literal["object", "wall", "floor"]
+# Openings are doors and windows.
+Role = Literal["object", "opening", "wall", "floor"]
 
 # Cell of the comparison of footprints; larger than the spacing of Gaussians.
 _CELL_M = 0.05
@@ -35,6 +36,8 @@ _MIN_INSIDE = 0.8
 _SECTORS, _MIN_SECTORS = 16, 12
 # An object faces the nearest one within this angle of its front, seen from its centre.
 _MIN_FACING = np.cos(np.radians(30.0))
+# Objects whose lowest part is higher above the floor hang at a wall and are not faced.
+_MAX_BOTTOM_M = 0.9
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ def relations(
     vertical = [
         relation
         for source, body in enumerate(bodies)
-        if roles[source] == "object"
+        if roles[source] in ("object", "opening")
         for relation in _support(source, body, bodies, roles, options)
     ]
     linked = {frozenset((r.source, r.target)) for r in vertical}
@@ -148,11 +151,12 @@ def relations(
     pairs = itertools.combinations(range(len(bodies)), 2)
     things = [k for k, role in enumerate(roles) if role == "object"]
     cameras = np.empty((0, 3)) if cameras_m is None else cameras_m @ ground.axes
+    floor = np.array([0.0, 0.0, ground.height_m])
     return [
         *vertical,
         *(Relation(a, b, "next to") for a, b in pairs if near(a, b)),
         *_above(things, bodies, linked),
-        *_facing(things, bodies, cameras, options.facing_m),
+        *_facing(things, bodies, floor, cameras - floor, options.facing_m),
     ]
 
 
@@ -177,19 +181,25 @@ def _higher(source: int, pair: frozenset[int], bodies: Sequence[_Body]) -> bool:
 
 
 def _facing(
-    things: Sequence[int], bodies: Sequence[_Body], cameras: Array, facing_m: float
+    things: Sequence[int], bodies: Sequence[_Body], floor: Array, cameras: Array, facing_m: float
 ) -> list[Relation]:
-    """Return the nearest object before each object that has a front."""
+    """Return the nearest object before each object that has a front; nothing that hangs.
+
+    Args:
+        floor: [3] a point of the floor; the third axis is up.
+        cameras: [P, 3] positions of the camera relative to it.
+    """
     found = []
+    targets = [k for k in things if bodies[k].bottom - floor[2] <= _MAX_BOTTOM_M]
     for source in things:
         body = bodies[source]
-        front = front_of(body.points, cameras)
+        front = front_of(body.points - floor, cameras)
         if front is None:
             continue
         start = (body.low[:2] + body.high[:2]) / 2
-        ahead = [(_distance_ahead(start, front, bodies[k]), k) for k in things if k != source]
+        ahead = [(_distance_ahead(start, front, bodies[k]), k) for k in targets if k != source]
         distance, target = min(ahead, default=(np.inf, -1))
-        if distance <= facing_m and bodies[target].high[2] > body.bottom:
+        if distance <= facing_m:
             found.append(Relation(source, target, "facing"))
     return found
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from toolkit.datasets.resize import ImageGrid
 from toolkit.errors import RunFolderError, SettingsError, ToolkitError
 from toolkit.evaluation.run_metrics import TrackedFrame
+from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.scene_graph import scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
@@ -196,9 +197,18 @@ class ServedRun:
         return Palette(self._run.taxonomy)
 
     @cached_property
+    def scene(self) -> MappedScene:
+        """Objects, relations and rooms; the first use takes seconds.
+
+        Raises:
+            ToolkitError: the map has no labels, or no floor was found.
+        """
+        return map_scene(self._selection, ObjectGraphOptions())
+
+    @cached_property
     def _objects(self) -> dict[str, Any]:
         try:
-            return scene_graph(self._selection, ObjectGraphOptions()).content
+            return scene_graph(self.scene).content
         except ToolkitError as error:
             raise NotAvailableError(self._without_path(error)) from error
 
