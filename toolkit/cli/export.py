@@ -115,9 +115,7 @@ def _occupancy_grid(options: ExportOptions, selection: SelectedGaussians) -> str
 
 
 def _scene_graph(options: ExportOptions, selection: SelectedGaussians) -> str:
-    graph = export_scene_graph(
-        options.to, selection, options.objects, options.floor, options.grid
-    )
+    graph = export_scene_graph(options.to, selection, options.objects, options.floor, options.grid)
     return str(graph)
 
 

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions
 from toolkit.options import Fraction, PositiveFloat, PositiveInt, Range
-from toolkit.serving.options import ServiceLimits
+from toolkit.serving.options import EarlierRun, ServiceLimits
 from toolkit.viewer.options import ShownContent
 
 # A mesh of a room with smaller voxels does not fit in memory.
@@ -140,7 +140,8 @@ class EditOptions:
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """Serve poses, rendered views, queries and objects of a finished run over HTTP."""
+    """Serve poses, rendered views, queries and objects of a finished run over HTTP, or to
+    assistants over the Model Context Protocol."""
 
     run: Positional[Path]
     """Run folder."""
@@ -149,4 +150,7 @@ class ServeOptions:
     who can connect can read the map."""
     port: Annotated[int, Range(ge=0, le=65535)] = 8000
     """Port to listen on; 0 chooses a free one."""
+    mcp: bool = False
+    """Serve tools for assistants over stdin and stdout (Model Context Protocol) instead of HTTP."""
     limits: ServiceLimits = ServiceLimits()
+    changes: EarlierRun = EarlierRun()

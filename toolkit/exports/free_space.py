@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -106,9 +105,7 @@ def free_space(
     return FreeSpace(_without_gaps(raw), rooms)
 
 
-def _walls(
-    opaque: SelectedGaussians, heights_m: NDArray[np.float64], max_height_m: float
-) -> Mask:
+def _walls(opaque: SelectedGaussians, heights_m: NDArray[np.float64], max_height_m: float) -> Mask:
     """Return the mask [N] of the Gaussians of what encloses rooms."""
     if opaque.labels is not None:
         labelled = opaque.labelled()
@@ -148,9 +145,7 @@ def _without_gaps(grid: OccupancyGrid) -> OccupancyGrid:
 
 def _filled(mask: Mask, gaps: Mask, max_cells: float) -> Mask:
     """Add the connected gaps to a mask that are not larger than some cells, nor at the border."""
-    count, pieces, stats, _ = cv2.connectedComponentsWithStats(
-        gaps.astype(np.uint8), connectivity=4
-    )
+    _, pieces, stats, _ = cv2.connectedComponentsWithStats(gaps.astype(np.uint8), connectivity=4)
     rows, columns = mask.shape
     left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
     right = left + stats[:, cv2.CC_STAT_WIDTH]

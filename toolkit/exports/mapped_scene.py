@@ -17,6 +17,7 @@ from toolkit.exports.selection import SelectedGaussians
 from toolkit.runs.visibility import KeyframeViews, keyframe_views
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.colour_names import colour_name
+from toolkit.semantics.paths import Place
 from toolkit.semantics.query import (
     CEILING_NAMES,
     FLOOR_NAMES,
@@ -73,6 +74,13 @@ class MappedScene:
         if self.enclosing[number]:
             return sorted(room for room, share in shares.items() if share >= _PART_SHARE)
         return [max(shares, key=lambda k: shares[k])] if shares else []
+
+    def place(self, number: int) -> Place:
+        """Return an object as the end of a path, which is in its room."""
+        rooms = self.rooms_of(number)
+        within = np.isin(self.space.rooms.numbers, rooms) if rooms else None
+        name = f"{self.objects[number].node.name} {number}"
+        return Place(name, self.space.grid.mask_of(self.points_m(number)), within)
 
     def describe(self, number: int) -> dict[str, Any]:
         """Return class, box, colour, rooms and the frames that see an object as JSON values."""

@@ -36,9 +36,7 @@ def surface_distance(a_m: Array, b_m: Array) -> Distance:
     first = int(np.argmin(distances))
     ends = np.stack([a_m[first], b_m[int(index[first])]])
     middles = [(points.min(axis=0) + points.max(axis=0)) / 2 for points in (a_m, b_m)]
-    return Distance(
-        float(distances[first]), ends, float(np.linalg.norm(middles[0] - middles[1]))
-    )
+    return Distance(float(distances[first]), ends, float(np.linalg.norm(middles[0] - middles[1])))
 
 
 def free_width_m(

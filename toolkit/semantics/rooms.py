@@ -241,9 +241,7 @@ class _Flood:
     def _rooms(self) -> list[int]:
         """Return the basins that are large enough."""
         small = self._options.min_area_m2 / self._cell_m2
-        return [
-            k for k, p in enumerate(self._parent) if k == p and self._cells[k] >= small
-        ]
+        return [k for k, p in enumerate(self._parent) if k == p and self._cells[k] >= small]
 
     def numbers(self) -> NDArray[np.int32]:
         """Return the index [H, W] of the room of each cell, -1 for none."""

@@ -201,18 +201,18 @@ class ServedRun:
         """Objects, relations and rooms; the first use takes seconds.
 
         Raises:
-            ToolkitError: the map has no labels, or no floor was found.
+            NotAvailableError: the map has no labels, or no floor was found.
         """
-        return map_scene(self._selection, ObjectGraphOptions())
+        try:
+            return map_scene(self._selection, ObjectGraphOptions())
+        except ToolkitError as error:
+            raise NotAvailableError(self.without_path(error)) from error
 
     @cached_property
     def _objects(self) -> dict[str, Any]:
-        try:
-            return scene_graph(self.scene).content
-        except ToolkitError as error:
-            raise NotAvailableError(self._without_path(error)) from error
+        return scene_graph(self.scene).content
 
-    def _without_path(self, error: ToolkitError) -> str:
+    def without_path(self, error: ToolkitError) -> str:
         """Return the message of an error without the paths of this machine."""
         return (
             str(error)
@@ -227,7 +227,7 @@ class ServedRun:
         try:
             labelled = self._selection.labelled()
         except RunFolderError as error:
-            raise NotAvailableError(self._without_path(error)) from error
+            raise NotAvailableError(self.without_path(error)) from error
         return SceneReader(labelled, options, self._run.tracked[0].T_map_camera[:3, 3])
 
     def _camera_of(self, request: RenderRequest) -> Camera:
