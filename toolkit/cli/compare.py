@@ -43,12 +43,12 @@ def main(options: CompareOptions) -> int:
 
 def _compare_objects(options: CompareOptions, out: Path) -> None:
     """Write the changed objects of the second run, and print them."""
-    before, after = (map_scene(select(path), ObjectGraphOptions()) for path in options.runs)
+    selections = [select(path) for path in options.runs]
     T_before_after = np.eye(4)
     if not options.same_frame:
-        T_before_after = relative_pose(
-            before.selection.run, after.selection.run, options.registration
-        )
+        runs = [selection.run for selection in selections]
+        T_before_after = relative_pose(runs[0], runs[1], options.registration)
+    before, after = (map_scene(selection, ObjectGraphOptions()) for selection in selections)
     found = changes_between(before, after, T_before_after)
     content = {
         "before": str(options.runs[0]),

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
-from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions
+from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions, PlanOptions
 from toolkit.options import Fraction, PositiveFloat, PositiveInt, Range
 from toolkit.serving.options import EarlierRun, ServiceLimits
 from toolkit.viewer.options import ShownContent
@@ -60,6 +60,7 @@ class ExportOptions:
     ground, rug and carpet that the taxonomy contains."""
     grid: GridOptions = GridOptions()
     objects: ObjectGraphOptions = ObjectGraphOptions()
+    plan: PlanOptions = PlanOptions()
     viewer: ShownContent = ShownContent()
 
     @property

@@ -1,4 +1,4 @@
-"""Occupancy grids of the floor for robots, and floor plans as pictures."""
+"""Occupancy grids of the floor for robots."""
 
 from __future__ import annotations
 
@@ -13,11 +13,8 @@ from toolkit.errors import SettingsError, ToolkitError
 from toolkit.exports.options import GridOptions
 from toolkit.exports.selection import SelectedGaussians, ground_of
 from toolkit.geometry import se3
-from toolkit.io.images import write_png
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, write_occupancy_grid
 from toolkit.semantics.boxes import Ground
-from toolkit.semantics.floor_plan import FloorPlan, draw_floor_plan, floor_plan
-from toolkit.semantics.palette import Palette
 
 # Discs of this many standard deviations cover a surface without gaps between Gaussians.
 _DISC_SIGMAS = 1.5
@@ -137,22 +134,3 @@ def _counts(
             hits = cv2.filter2D(hits, -1, disc.astype(np.float32), borderType=cv2.BORDER_CONSTANT)
         counts += np.rint(hits).astype(np.int32)
     return counts
-
-
-def export_floor_plan(
-    path: Path, selection: SelectedGaussians, floor: Sequence[str] = ()
-) -> FloorPlan:
-    """Write the floor plan of the selected Gaussians as a PNG.
-
-    Raises:
-        ToolkitError: the map has no labels, no floor was found, or the file cannot be written.
-    """
-    opaque = selection.opaque()
-    labelled = opaque.labelled()
-    ground = required_ground(selection, floor)
-    palette = Palette(labelled.taxonomy)
-    cameras_m = selection.run.trajectory.positions_m
-    radii_m = opaque.gaussians.radii_m.numpy().astype(float)
-    plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
-    write_png(path, draw_floor_plan(plan, palette, names=selection.run.length_names))
-    return plan

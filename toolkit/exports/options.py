@@ -40,6 +40,19 @@ class GridOptions:
 
 
 @dataclass(frozen=True)
+class PlanOptions:
+    """What is drawn over floor plans."""
+
+    rooms: bool = False
+    """Draw the outlines, numbers and doors of rooms."""
+    path: tuple[int, int] | None = None
+    """Draw the shortest free path between two objects, by their numbers in the scene graph, and
+    rooms."""
+    width_m: PositiveFloat = 0.6
+    """Minimum free width of the path, in metres."""
+
+
+@dataclass(frozen=True)
 class ObjectGraphOptions:
     """Objects and relations of scene graphs."""
 

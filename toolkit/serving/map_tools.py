@@ -244,12 +244,12 @@ class MapTools:
                 "no earlier run to compare with; start the server with --changes.earlier RUN"
             )
         try:
-            before = map_scene(select(earlier.earlier), ObjectGraphOptions())
+            selection = select(earlier.earlier)
             T_before_after = np.eye(4)
             if not earlier.same_frame:
-                T_before_after = relative_pose(
-                    before.selection.run, self._scene.selection.run, earlier.registration
-                )
+                run = self._scene.selection.run
+                T_before_after = relative_pose(selection.run, run, earlier.registration)
+            before = map_scene(selection, ObjectGraphOptions())
             found = changes_between(before, self._scene, T_before_after)
         except ToolkitError as error:
             raise NotAvailableError(_without(error, earlier.earlier)) from error
