@@ -88,7 +88,7 @@ def graphml_bytes(content: dict[str, Any]) -> bytes:
         add_data(element, "node", {k: v for k, v in node.items() if k != "id"})
     for number, edge in enumerate(content["edges"]):
         ends = {end: str(edge[end]) for end in ("source", "target")}
-        element = ET.SubElement(graph, "edge", id=f"e{number}", **ends)
+        element = ET.SubElement(graph, "edge", {"id": f"e{number}", **ends})
         values = {k: v for k, v in edge.items() if k not in ("source", "target", "key")}
         add_data(element, "edge", values)
     root.extend(keys.values())

@@ -75,6 +75,8 @@ class _Body:
 
     def on(self, other: _Body, contact_m: float) -> bool:
         """Return whether enough of the footprint has points of `other` right below the bottom."""
+        if self._apart(other):
+            return False
         height = other.points[:, 2]
         touching = (height >= self.bottom - contact_m) & (height <= self.bottom + contact_m / 2)
         # What the object hides was not observed, so its surroundings support it as well.
@@ -98,6 +100,16 @@ class _Body:
         if self.bottom <= other.high[2]:
             return False
         return len(self.cells & other.cells) >= _MIN_SUPPORT * len(self.cells)
+
+    def _apart(self, other: _Body) -> bool:
+        """Return whether the footprints are more than two cells apart."""
+        gap = np.maximum(self.low - other.high, other.low - self.high)
+        return bool((gap[:2] > 2 * _CELL_M).any())
+
+    def near(self, other: _Body, distance_m: float) -> Array:
+        """Return the points [N, 3] that may be within a distance of the other."""
+        low, high = other.low - distance_m, other.high + distance_m
+        return self.points[((self.points >= low) & (self.points <= high)).all(axis=1)]
 
     def far(self, other: _Body, distance_m: float) -> bool:
         """Return whether the boxes are farther from each other than a distance."""
@@ -145,7 +157,10 @@ def relations(
             return False
         if bodies[a].far(bodies[b], options.next_to_m):
             return False
-        distance_m, _ = trees[b].query(bodies[a].points)
+        points = bodies[a].near(bodies[b], options.next_to_m)
+        if len(points) == 0:
+            return False
+        distance_m, _ = trees[b].query(points)
         return bool(distance_m.min() <= options.next_to_m)
 
     pairs = itertools.combinations(range(len(bodies)), 2)

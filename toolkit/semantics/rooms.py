@@ -126,7 +126,7 @@ def find_rooms(inside: Mask, cell_m: float, options: RoomOptions | None = None) 
         for (a, b), (row, column), width_m in flood.doors()
     ]
     found = RoomMap(numbers, areas_m2, centres, doors)
-    return found.renumbered(np.argsort(areas_m2)[::-1])
+    return found.renumbered(np.argsort(-np.array(areas_m2), kind="stable"))
 
 
 def _distance_m(inside: Mask, cell_m: float) -> NDArray[np.float32]:
