@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError
 from toolkit import __version__
 from toolkit.errors import ToolkitError
 from toolkit.serving.admission import Computations, OverloadedError
-from toolkit.serving.map_tools import MAX_RESULTS, MapTools
+from toolkit.serving.map_tools import MAX_RESULTS, MapTools, shown
 from toolkit.serving.requests import Metres, Picture, RenderRequest
 from toolkit.serving.served_run import ServedRun
 
@@ -42,8 +42,10 @@ Colour = Literal[
     "black", "grey", "white", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown"
 ]
 Answer = dict[str, Any]
-# Width of images by default, in pixels, and number of wrong arguments in a message.
-_WIDTH, _MAX_ERRORS = 640, 3
+# Width of images by default, in pixels.
+_WIDTH = 640
+# Number of wrong arguments in a message, and length of a message.
+_MAX_ERRORS, _MAX_ERROR = 3, 400
 
 
 class _Server(MCPServer):
@@ -171,7 +173,7 @@ def _add(server: MCPServer, function: Callable[..., Awaitable[Any]]) -> None:
         except ValidationError as error:
             raise ToolError(_wrong_arguments(error)) from error
         except ToolkitError as error:
-            raise ToolError(" ".join(str(error).split())) from error
+            raise ToolError(shown(str(error), _MAX_ERROR)) from error
         except OverloadedError as error:
             raise ToolError("too many calls wait; try again in a second") from error
         if isinstance(answer, CallToolResult):

@@ -254,13 +254,18 @@ class MapTools:
         except ToolkitError as error:
             raise NotAvailableError(_without(error, earlier.earlier)) from error
         # In the frame of the served map, in which everything else is.
-        return found.transformed(se3.inverse(T_before_after)).values()
+        values = found.transformed(se3.inverse(T_before_after)).values()
+        for change in values["changes"]:
+            change["name"] = shown(change["name"])
+        return values
 
 
-def shown(text: str) -> str:
+def shown(text: str, max_length: int = _MAX_NAME) -> str:
     """Return text from data as it may be shown: without control characters, HTML escaped."""
-    text = _UNSAFE.sub("?", text)
-    return html.escape(text if len(text) <= _MAX_NAME else text[: _MAX_NAME - 3] + "...")
+    text = " ".join(_UNSAFE.sub("?", text).split())
+    if len(text) > max_length:
+        text = text[: max_length - 3] + "..."
+    return html.escape(text, quote=False)
 
 
 def looking_at(eye_m: Array, target_m: Array, up: Array) -> Array:

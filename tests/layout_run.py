@@ -25,11 +25,10 @@ from toolkit.synthetic_rooms.vocabulary import CLASS_IDS, CLASS_NAMES
 TAXONOMY = Taxonomy({"things": list(CLASS_NAMES)}, classes=CLASS_NAMES, name="rooms")
 # Nothing may rely on the map standing upright.
 T_MAP_WORLD = se3.exp(np.array([0.3, -0.2, 1.5, 2.0, 0.4, -0.3]))
-_SPACING_M = 0.08
 _FOCAL, _SIZE = 80.0, (128, 96)
 
 
-def sampled(parts: list[Part]) -> tuple[np.ndarray, np.ndarray]:
+def sampled(parts: list[Part], spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Random points [N, 3] on the surfaces, and their classes."""
     rng = np.random.default_rng(0)
     points, ids = [], []
@@ -37,7 +36,7 @@ def sampled(parts: list[Part]) -> tuple[np.ndarray, np.ndarray]:
         for patch in part.patches:
             a, b, c = np.moveaxis(patch.points.reshape(-1, 3)[patch.triangles()], 1, 0)
             areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-            count = max(1, math.ceil(areas.sum() / _SPACING_M**2))
+            count = max(1, math.ceil(areas.sum() / spacing_m**2))
             chosen = rng.choice(len(areas), count, p=areas / areas.sum())
             u, v = np.sort(rng.random((2, count)), axis=0)
             along = u[:, None] * (b - a)[chosen] + (v - u)[:, None] * (c - a)[chosen]
@@ -53,16 +52,25 @@ def poses_along(layout: Layout) -> np.ndarray:
     )
 
 
-def make_run(folder: Path, layout: Layout, parts: list[Part]) -> Path:
-    """Write the folder of a run that has mapped parts without errors; all frames are keyframes."""
-    points, ids = sampled(parts)
+def make_run(
+    folder: Path,
+    layout: Layout,
+    parts: list[Part],
+    taxonomy: Taxonomy = TAXONOMY,
+    spacing_m: float = 0.08,
+) -> Path:
+    """Write the folder of a run that has mapped parts without errors; all frames are keyframes.
+
+    The taxonomy may have other names for the classes of synthetic rooms.
+    """
+    points, ids = sampled(parts, spacing_m)
     gaussians = GaussianCloud.from_values(
         means=torch.tensor(se3.transform_points(T_MAP_WORLD, points), dtype=torch.float32),
-        radii_m=torch.full((len(points),), 0.6 * _SPACING_M),
+        radii_m=torch.full((len(points),), 0.6 * spacing_m),
         opacities=torch.full((len(points),), 0.95),
         colours=torch.full((len(points), 3), 0.5),
     )
-    levels = np.stack([TAXONOMY.level_ids(ids, level) for level in range(TAXONOMY.depth)], axis=1)
+    levels = np.stack([taxonomy.level_ids(ids, level) for level in range(taxonomy.depth)], axis=1)
     labels = SplatLabels(ids, levels, np.full(len(ids), 0.9, np.float32))
     poses = T_MAP_WORLD @ poses_along(layout)
     settings = RunSettings(dataset=DatasetOptions(kind="synthetic", path=Path("/gone")))
@@ -70,7 +78,7 @@ def make_run(folder: Path, layout: Layout, parts: list[Part]) -> Path:
     times = np.arange(len(poses)) / 30.0
     run.write_trajectory(Trajectory(times, poses))
     write_splat_ply(run.map, gaussians, labels.columns())
-    TAXONOMY.save(run.path / "taxonomy.yaml")
+    taxonomy.save(run.path / "taxonomy.yaml")
     run.write_json(run.frames, _frames(len(poses)))
     return run.path
 
