@@ -1,4 +1,4 @@
-"""Folders of finished runs in the rooms of a layout, without SLAM: Gaussians on the true surfaces."""
+"""Folders of finished runs in synthetic rooms, without SLAM: Gaussians on the true surfaces."""
 
 from __future__ import annotations
 
@@ -87,7 +87,14 @@ def _frames(count: int) -> dict:
     """The content of frames.json: every frame is a tracked keyframe."""
     exposure = {"gain": 1.0, "bias": 0.0, "balance": [1.0, 1.0, 1.0]}
     numbers = range(count)
-    part = {"number": 0, "submaps": [], "frames": count, "first": 0, "last": count - 1, "loss": None}
+    part = {
+        "number": 0,
+        "submaps": [],
+        "frames": count,
+        "first": 0,
+        "last": count - 1,
+        "loss": None,
+    }
     width, height = _SIZE
     return {
         "frames": [
@@ -96,7 +103,7 @@ def _frames(count: int) -> dict:
         "states": [{"index": i, "state": "tracked", "part": 0} for i in numbers],
         "lost": [],
         "keyframes": list(numbers),
-        "parts": [part],
+        "parts": [part | {"loss": None}],
         "submaps": [],
         "camera": {
             "fx": _FOCAL,

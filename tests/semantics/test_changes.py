@@ -13,8 +13,9 @@ CLEAR, HIDDEN, FILLED = Seen(1.0, 1.0), Seen(0.0, 0.0), Seen(1.0, 0.0)
 
 def item(name: str, x: float, y: float = 0.0, size: float = 0.5, number: int = 0):
     axis = np.linspace(0, size, 8)
-    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3) + (x, y, 0)
-    centre = np.array([x, y, 0]) + size / 2
+    corner = np.array([x, y, 0])
+    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3) + corner
+    centre = corner + size / 2
     return ComparedObject(number, ("things", name), points, centre, np.full(3, size))
 
 

@@ -119,7 +119,7 @@ def box(x: float, y: float, size: float) -> np.ndarray:
     a, b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, size, 21)] * 2))
     sides = [np.stack([np.full_like(a, s), a, b], axis=1) for s in (0, size)]
     sides += [np.stack([a, np.full_like(a, s), b], axis=1) for s in (0, size)]
-    return se3.transform_points(T_MAP_ROOM, np.concatenate(sides) + (x, y, 0))
+    return se3.transform_points(T_MAP_ROOM, np.concatenate(sides) + np.array([x, y, 0.0]))
 
 
 def test_distances_are_between_surfaces():

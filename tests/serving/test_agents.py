@@ -38,7 +38,7 @@ Call = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> tuple[Path, Path]:
-    """A room, and the same room later: a chair has moved, and a ball with a hostile name is gone."""
+    """A room, and the same room later: a chair has moved, a ball with a hostile name is gone."""
     names = [HOSTILE if name == "exercise-ball" else name for name in CLASS_NAMES]
     taxonomy = Taxonomy({"things": names}, classes=names, name="rooms")
     layout, folder = LAYOUTS["room"](), tmp_path_factory.mktemp("rooms")

@@ -219,3 +219,5 @@ def _draw_rooms(image: RgbImage, plan: FloorPlan, factor: int, drawing: PlanDraw
         points = np.rint(factor * plan.pixels(drawing.way_points_m)).astype(np.int32)
         cv2.polylines(image, [points], False, (255, 255, 255), 6, cv2.LINE_AA)
         cv2.polylines(image, [points], False, _WAY, 3, cv2.LINE_AA)
+        for end in (points[0].tolist(), points[-1].tolist()):
+            cv2.circle(image, end, 5, _WAY, -1, cv2.LINE_AA)
