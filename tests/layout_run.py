@@ -103,7 +103,7 @@ def _frames(count: int) -> dict:
         "states": [{"index": i, "state": "tracked", "part": 0} for i in numbers],
         "lost": [],
         "keyframes": list(numbers),
-        "parts": [part | {"loss": None}],
+        "parts": [part],
         "submaps": [],
         "camera": {
             "fx": _FOCAL,
