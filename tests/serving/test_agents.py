@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -18,10 +19,11 @@ from layout_run import CLASS_NAMES, T_MAP_WORLD, Taxonomy, make_run
 
 from toolkit.cli.main import main
 from toolkit.geometry import se3
+from toolkit.io.splats import read_splats, write_splat_ply
 from toolkit.serving.admission import Computations
 from toolkit.serving.map_tools import MapTools, looking_at, shown
 from toolkit.serving.options import EarlierRun
-from toolkit.serving.served_run import ServedRun
+from toolkit.serving.served_run import NotAvailableError, ServedRun
 from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
 
 anyio = pytest.importorskip("anyio")
@@ -252,7 +254,22 @@ def test_nothing_but_the_protocol_is_written_to_stdout(runs):
     assert process.returncode == 0 and "Traceback" not in errors
 
 
-def test_a_run_without_labels_says_so(runs, capsys, tmp_path):
+def test_what_cannot_be_served_is_reported_in_one_line(runs, capsys, tmp_path, monkeypatch):
     assert main(["serve", str(tmp_path / "none"), "--mcp"]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and "none" in captured.err
+    for name in [name for name in sys.modules if name.split(".")[0] == "mcp"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.delitem(sys.modules, "toolkit.serving.agents", raising=False)
+    assert main(["serve", str(runs[0]), "--mcp"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and "pip install 'semsplat[agents]'" in captured.err
+
+
+def test_maps_without_labels_have_no_objects(runs, tmp_path):
+    bare = shutil.copytree(runs[0], tmp_path / "bare")
+    write_splat_ply(bare / "map.ply", read_splats(bare / "map.ply"))
+    tools = MapTools(ServedRun(bare, max_pixels=300_000))
+    with pytest.raises(NotAvailableError, match="has no labels") as error:
+        tools.describe(None, None)
+    assert str(tmp_path) not in str(error.value)

@@ -121,7 +121,9 @@ def _scene_graph(options: ExportOptions, selection: SelectedGaussians) -> str:
 
 
 def _floor_plan(options: ExportOptions, selection: SelectedGaussians) -> str:
-    plan = export_floor_plan(options.to, selection, options.plan, options.objects, options.floor)
+    plan = export_floor_plan(
+        options.to, selection, options.plan, options.objects, options.floor, options.grid
+    )
     return str(plan)
 
 

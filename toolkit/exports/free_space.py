@@ -30,6 +30,8 @@ _HIGH_M = 1.2
 _MAX_GAP_M2, _MAX_HIDDEN_M2 = 0.04, 4.0
 # Interval of the rows of a depth image whose rays are drawn on the grid.
 _ROW_STEP = 6
+# What is at most this far behind the wall of a room belongs to it.
+_WALL_M = 0.3
 
 
 @dataclass(frozen=True)
@@ -44,11 +46,6 @@ class FreeSpace:
     grid: OccupancyGrid
     rooms: RoomMap
 
-    def room_of(self, points_m: NDArray[np.float64]) -> int | None:
-        """Return the index of the room in which most of some points [N, 3] lie, None for none."""
-        shares = self.rooms_of(points_m)
-        return max(shares, key=lambda k: shares[k]) if shares else None
-
     def rooms_of(self, points_m: NDArray[np.float64]) -> dict[int, float]:
         """Return the share of points [N, 3] that lie in each room; walls belong to the nearest."""
         numbers = self._near_numbers[tuple(self.grid.cells_of(points_m).T)]
@@ -57,7 +54,7 @@ class FreeSpace:
 
     @cached_property
     def _near_numbers(self) -> NDArray[np.int32]:
-        """Room of each cell [H, W], also in walls and up to 0.3 m behind them."""
+        """Room of each cell [H, W], also in the walls around it."""
         numbers = self.rooms.numbers
         if not (numbers >= 0).any():
             return numbers
@@ -69,7 +66,7 @@ class FreeSpace:
         )
         table = np.full(int(nearest.max()) + 1, -1, np.int32)
         table[nearest[numbers >= 0]] = numbers[numbers >= 0]
-        return np.where(distance * self.grid.cell_m <= 0.3, table[nearest], -1)
+        return np.where(distance * self.grid.cell_m <= _WALL_M, table[nearest], -1)
 
 
 def free_space(

@@ -85,11 +85,10 @@ class MappedScene:
     def describe(self, number: int) -> dict[str, Any]:
         """Return class, box, colour, rooms and the frames that see an object as JSON values."""
         found = self.objects[number]
-        rgb = self.selection.rgb[found.index] / 255.0
-        radii_m = self.selection.gaussians.radii_m.numpy()[found.index]
+        rgb, areas = self._surface
         return {
             **self._reader.describe(found),
-            "colour": colour_name(rgb, radii_m**2),
+            "colour": colour_name(rgb[found.index], areas[found.index]),
             "rooms": [room + 1 for room in self.rooms_of(number)],
             **self._seen[number],
         }
@@ -123,6 +122,12 @@ class MappedScene:
     def _reader(self) -> SceneReader:
         viewpoint_m = self.selection.run.tracked[0].T_map_camera[:3, 3]
         return SceneReader(self.map, ObjectOptions(), viewpoint_m, self.floor, self.ground)
+
+    @cached_property
+    def _surface(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Colours [N, 3] in [0, 1] and relative areas [N] of the Gaussians."""
+        gaussians = self.selection.gaussians
+        return gaussians.colours.numpy(), gaussians.radii_m.numpy() ** 2
 
     @cached_property
     def _seen(self) -> list[dict[str, Any]]:

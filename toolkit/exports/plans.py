@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from toolkit.errors import SettingsError
 from toolkit.exports.floors import required_ground
 from toolkit.exports.mapped_scene import MappedScene, map_scene
-from toolkit.exports.options import ObjectGraphOptions, PlanOptions
+from toolkit.exports.options import GridOptions, ObjectGraphOptions, PlanOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.images import write_png
 from toolkit.io.occupancy import OccupancyGrid
@@ -45,6 +45,7 @@ def export_floor_plan(
     options: PlanOptions,
     objects: ObjectGraphOptions,
     floor: Sequence[str] = (),
+    grid: GridOptions | None = None,
 ) -> WrittenPlan:
     """Write the floor plan of the selected Gaussians as a PNG.
 
@@ -61,7 +62,7 @@ def export_floor_plan(
     plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
     drawing, found, rooms = None, None, None
     if options.rooms or options.path is not None:
-        scene = map_scene(selection, objects, floor)
+        scene = map_scene(selection, objects, floor, grid)
         found = _path(scene, options)
         drawing, rooms = _drawing(scene, found), len(scene.space.rooms)
     names = selection.run.length_names

@@ -34,6 +34,8 @@ _BOTTOM_PERCENT = 2.0
 _MIN_INSIDE = 0.8
 # A container surrounds an object in at least this many of 16 horizontal directions.
 _SECTORS, _MIN_SECTORS = 16, 12
+# Objects with a smaller gap to the one below stand on something that no camera has seen.
+_MIN_GAP_M = 0.2
 # An object faces the nearest one within this angle of its front, seen from its centre.
 _MIN_FACING = np.cos(np.radians(30.0))
 # Objects whose lowest part is higher above the floor hang at a wall and are not faced.
@@ -96,8 +98,8 @@ class _Body:
         return len(np.unique(sectors)) >= _MIN_SECTORS
 
     def above(self, other: _Body) -> bool:
-        """Return whether enough of the footprint lies over the other, which ends below it."""
-        if self.bottom <= other.high[2]:
+        """Return whether enough of the footprint lies over the other, with a gap between them."""
+        if self.bottom - other.high[2] < _MIN_GAP_M:
             return False
         return len(self.cells & other.cells) >= _MIN_SUPPORT * len(self.cells)
 

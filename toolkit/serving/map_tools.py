@@ -213,6 +213,8 @@ class MapTools:
 
     def _checked(self, number: int) -> int:
         count = len(self._scene.objects)
+        if count == 0:
+            raise NotAvailableError("the map has no objects; it may have too few labels")
         if not 0 <= number < count:
             raise NotAvailableError(
                 f"there is no object {number}; the objects are 0 to {count - 1}: use find"
