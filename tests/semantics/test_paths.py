@@ -102,6 +102,21 @@ def test_paths_end_beside_objects_and_in_their_room():
     assert path.length_m < 3.0
 
 
+def test_a_free_spot_behind_an_object_is_no_dead_end():
+    """The nearest free cell may be enclosed; the path begins at the next one that is connected."""
+    where = grid()
+    cells = where.cells.copy()
+    cells[4:24, 4:44] = OCCUPIED
+    cells[24:27, 4:44] = FREE  # a gap of 15 cm behind the bed, closed by a board
+    cells[27:29, 4:44] = OCCUPIED
+    cells[24:29, 44] = OCCUPIED
+    where = OccupancyGrid(cells, CELL_M, where.origin_m, where.T_grid_map)
+    footprint = np.zeros(cells.shape, bool)
+    footprint[4:24, 4:40] = True
+    path = PathFinder(where).shortest(Place("bed", footprint), place(where, 1, 3), 0.05)
+    assert 1.0 < path.length_m < 3.0
+
+
 def test_places_without_free_floor_are_reported():
     where = grid()
     cells = where.cells.copy()

@@ -82,14 +82,14 @@ class PathFinder:
         """
         for place in (start, goal):
             self._check_reach(place, width_m)
-        wide = self._wide(width_m)
-        starts, goals = self._reached(start, width_m), self._reached(goal, width_m)
-        number = np.cumsum(wide).reshape(wide.shape) - 1
-        distance, previous = self._distances(wide, number, number[starts])
-        ends = number[goals]
-        end = int(ends[distance[ends].argmin()])
-        if not np.isfinite(distance[end]):
+        ends = self._ends(start, goal, width_m)
+        if ends is None:
             raise NoPathError(self._narrow(start, goal, width_m))
+        wide = self._wide(width_m)
+        number = np.cumsum(wide).reshape(wide.shape) - 1
+        distance, previous = self._distances(wide, number, number[ends[0]])
+        goals = number[ends[1]]
+        end = int(goals[distance[goals].argmin()])
         nodes = [end]
         while previous[nodes[-1]] >= 0:
             nodes.append(int(previous[nodes[-1]]))
@@ -103,7 +103,7 @@ class PathFinder:
         high = len(widths) - 1
         while low <= high:
             middle = (low + high) // 2
-            if self._connected(start, goal, widths[middle]):
+            if self._ends(start, goal, float(widths[middle])) is not None:
                 best, low = middle, middle + 1
             else:
                 high = middle - 1
@@ -116,7 +116,7 @@ class PathFinder:
         return np.asarray(self._width_m >= max(width_m, 1e-9) - 1e-9)
 
     def _check_reach(self, place: Place, width_m: float) -> None:
-        if self._reached(place, width_m).any():
+        if (self._wide(width_m) & self._near(place, width_m)).any():
             return
         free_m = float(self._width_m[self._near(place, width_m)].max(initial=0.0))
         if free_m <= 0:
@@ -134,17 +134,30 @@ class PathFinder:
         near = _distance(place.footprint) * self._grid.cell_m <= _REACH_M + width_m / 2
         return near if place.within is None else near & place.within
 
-    def _reached(self, place: Place, width_m: float) -> Mask:
-        """Return the free cells [H, W] of some width that are nearest to a place, if in reach."""
-        allowed = self._wide(width_m) & self._near(place, width_m)
-        distance = _distance(place.footprint)
-        return allowed & (distance <= distance[allowed].min(initial=np.inf) + 1.0)
+    def _ends(self, start: Place, goal: Place, width_m: float) -> tuple[Mask, Mask] | None:
+        """Return the cells [H, W] at which a path of some width begins and ends, None for no path.
 
-    def _connected(self, start: Place, goal: Place, width_m: float) -> bool:
-        wide = self._wide(float(width_m))
+        They are the nearest ones to both places that are connected with each other.
+        """
+        wide = self._wide(width_m)
         _, pieces = cv2.connectedComponents(wide.astype(np.uint8), connectivity=8)
-        ends = [set(pieces[self._reached(p, float(width_m))].tolist()) for p in (start, goal)]
-        return bool(ends[0] & ends[1])
+        near = [wide & self._near(place, width_m) for place in (start, goal)]
+        gaps = [_distance(place.footprint) for place in (start, goal)]
+        sums = {
+            int(piece): sum(
+                float(gap[mask & (pieces == piece)].min())
+                for gap, mask in zip(gaps, near, strict=True)
+            )
+            for piece in np.intersect1d(pieces[near[0]], pieces[near[1]])
+        }
+        if not sums:
+            return None
+        same = pieces == min(sums, key=lambda piece: sums[piece])
+        first, last = (
+            mask & same & (gap <= gap[mask & same].min() + 1.0)
+            for gap, mask in zip(gaps, near, strict=True)
+        )
+        return first, last
 
     def _distances(
         self, wide: Mask, number: Cells, starts: Cells
