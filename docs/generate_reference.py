@@ -58,6 +58,17 @@ API = {
         "toolkit.io.object_embeddings.write_objects",
         "toolkit.taxonomy_building.builder.build_taxonomy",
     ),
+    "Objects, rooms and paths": (
+        "toolkit.exports.mapped_scene.map_scene",
+        "toolkit.exports.mapped_scene.MappedScene",
+        "toolkit.exports.map_changes.changes_between",
+        "toolkit.semantics.rooms.find_rooms",
+        "toolkit.semantics.rooms.RoomMap",
+        "toolkit.semantics.paths.PathFinder",
+        "toolkit.semantics.paths.FreePath",
+        "toolkit.semantics.measures.surface_distance",
+        "toolkit.semantics.measures.free_width_m",
+    ),
     "Geometry": (
         "toolkit.geometry.camera.Camera",
         "toolkit.geometry.trajectory.Trajectory",

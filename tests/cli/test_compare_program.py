@@ -8,12 +8,16 @@ import shutil
 from pathlib import Path
 from urllib.parse import unquote
 
+import numpy as np
 import pytest
+from layout_run import make_run
 from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.compare import unique_names
 from toolkit.cli.main import main
 from toolkit.evaluation.comparison import direction
+from toolkit.geometry import se3
+from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
 
 
 @pytest.fixture
@@ -108,3 +112,77 @@ def test_bad_comparisons_are_reported_in_one_line(tiny_run, other_run, tmp_path,
     assert "contains no run" in line
     (other_run / "metrics.json").unlink()
     assert "--resume" in one_line_of_error(capsys, "compare", tiny_run, other_run, *out)
+
+
+@pytest.fixture(scope="module")
+def two_rooms(tmp_path_factory, tiny_run) -> tuple[Path, Path]:
+    """Runs of a room before and after a chair has moved and a ball has been removed."""
+    folder, layout = tmp_path_factory.mktemp("two"), LAYOUTS["room"]()
+    kept = ("wall", "floor", "bed", "chair", "exercise-ball")
+    before = [part for part in build_parts(layout, 0) if part.class_name in kept]
+    offset = se3.from_rotation_translation(np.eye(3), np.array([1.5, -0.6, 0.0]))
+    after = [
+        part.transformed(offset) if part.class_name == "chair" else part
+        for part in before
+        if part.class_name != "exercise-ball"
+    ]
+    runs = [
+        make_run(folder / name, layout, parts, spacing_m=0.04)
+        for name, parts in (("before", before), ("after", after))
+    ]
+    for run in runs:
+        shutil.copy(tiny_run / "metrics.json", run)
+    return runs[0], runs[1]
+
+
+def compared(runs, tmp_path, *words: str) -> dict:
+    out = tmp_path / "changes.json"
+    page = str(tmp_path / "page.html")
+    assert main(["compare", *map(str, runs), "--out", page, "--objects", str(out), *words]) == 0
+    return json.loads(out.read_text())
+
+
+def test_objects_that_moved_or_are_gone_are_listed(two_rooms, tmp_path, capsys):
+    content = compared(two_rooms, tmp_path, "--same-frame")
+    found = {(c["change"], c["name"]): c for c in content["changes"]}
+    assert set(found) == {("moved", "chair"), ("gone", "exercise-ball")}
+    moved = found["moved", "chair"]
+    assert moved["distance_m"] == pytest.approx(np.hypot(1.5, 0.6), abs=0.1)
+    assert content["unchanged"] >= 1
+    printed = capsys.readouterr().out
+    assert "moved  chair  from (" in printed and "gone   exercise-ball  at (" in printed
+
+
+def test_a_registration_aligns_the_maps_in_either_order(two_rooms, tmp_path):
+    before, after = two_rooms
+    identity = {"run_a": str(before), "run_b": str(after), "T_a_b": np.eye(4).tolist()}
+    file = tmp_path / "register.json"
+    file.write_text(json.dumps(identity))
+    content = compared((after, before), tmp_path, "--registration", str(file))
+    assert {(c["change"], c["name"]) for c in content["changes"]} == {
+        ("moved", "chair"),
+        ("new", "exercise-ball"),
+    }
+
+
+def test_wrong_comparisons_of_objects_are_reported_in_one_line(two_rooms, tmp_path, capsys):
+    other = tmp_path / "register.json"
+    other.write_text(json.dumps({"run_a": "a", "run_b": "b", "T_a_b": np.eye(4).tolist()}))
+    damaged = tmp_path / "damaged.json"
+    damaged.write_text("{}")
+    out = str(tmp_path / "o.json")
+    for words, said in (
+        (["--same-frame"], "give it"),
+        (["--objects", str(tmp_path / "o.txt")], ".json"),
+        (["--objects", out, "--same-frame", "--registration", str(other)], "not both"),
+        (["--objects", out, "--registration", str(other)], "belongs to a and b"),
+        (["--objects", out, "--registration", str(damaged)], "is not a register.json"),
+        (["--objects", out, "--registration", str(tmp_path / "no.json")], "cannot read"),
+        (["--objects", out], "submaps are missing"),
+    ):
+        page = str(tmp_path / "p.html")
+        assert said in one_line_of_error(capsys, "compare", *two_rooms, "--out", page, *words)
+    assert not Path(out).exists()
+    three = [two_rooms[0], *two_rooms]
+    line = one_line_of_error(capsys, "compare", *three, "--objects", out, "--same-frame")
+    assert "compares two runs, got 3" in line

@@ -26,6 +26,7 @@ from toolkit.io.splats import read_splats, write_splat_ply
 from toolkit.io.trajectories import read_tum
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.semantics.colour_names import COLOUR_NAMES
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.reading import read_scene
 
@@ -280,10 +281,63 @@ def test_the_scene_graph_is_read_by_networkx(labelled_run, tmp_path):
     relations = {(names[a], r, names[b]) for a, b, r in graph.edges(data="relation")}
     assert ("table", "on", "floor") in relations
     assert ("chair", "on", "floor") in relations
-    assert {r for a, r, b in relations if {a, b} == {"chair", "table"}} == {"next to"}
-    assert all(a != "floor" for a, _, _ in relations)
+    assert {r for a, r, b in relations if {a, b} == {"chair", "table"}} == {"next to", "facing"}
+    assert {r for a, r, _ in relations if a == "floor"} == {"part of"}
     (table,) = (n for n in graph if names[n] == "table")
     assert graph.nodes[table]["box"]["size_m"] == pytest.approx([1.2, 0.8, 0.75], abs=0.01)
+
+
+def test_the_scene_graph_has_the_room_and_what_is_known_of_objects(labelled_run, tmp_path):
+    file = export(labelled_run, tmp_path / "graph.json", "--format", "scene-graph")
+    content = json.loads(file.read_text())
+    (room,) = (node for node in content["nodes"] if node["kind"] == "room")
+    assert room["area_m2"] == pytest.approx(LENGTH_M * WIDTH_M, rel=0.1) and not room["doors"]
+    kinds = {node["id"]: node["kind"] for node in content["nodes"]}
+    into_room = {
+        (kinds[edge["source"]], edge["relation"])
+        for edge in content["edges"]
+        if edge["target"] == room["id"]
+    }
+    assert into_room == {("object", "in"), ("structure", "part of")}
+    (table,) = (node for node in content["nodes"] if node["name"] == "table")
+    assert table["rooms"] == [1]
+    assert (table["first_seen"], table["last_seen"], table["keyframes"]) == (0, 0, 1)
+    assert table["colour"] in COLOUR_NAMES
+    facing = {
+        edge["target"]
+        for edge in content["edges"]
+        if edge["relation"] == "facing" and edge["source"] != table["id"]
+    }
+    assert facing == {table["id"]}  # both chairs
+
+
+def test_graphml_and_json_ld_contain_the_same_graph(labelled_run, tmp_path):
+    networkx = pytest.importorskip("networkx")
+    json_file = export(labelled_run, tmp_path / "graph.json", "--format", "scene-graph")
+    content = json.loads(json_file.read_text())
+    expected = {(str(e["source"]), e["relation"], str(e["target"])) for e in content["edges"]}
+
+    graph = networkx.read_graphml(export(labelled_run, tmp_path / "graph.graphml"))
+    relations = {(a, r, b) for a, b, r in graph.edges(data="relation")}
+    assert relations == expected
+    for node in content["nodes"]:
+        values = graph.nodes[str(node["id"])]
+        assert values["name"] == node["name"]
+        if "box" in node:
+            assert json.loads(values["box"]) == node["box"]
+            assert values["confidence"] == node["confidence"]
+
+    linked = json.loads(export(labelled_run, tmp_path / "graph.jsonld").read_text())
+    terms = linked["@context"]
+    names = {"on": "on", "in": "in", "nextTo": "next to", "partOf": "part of", "facing": "facing"}
+    found = {
+        (node["@id"].removeprefix("node/"), names[key], target.removeprefix("node/"))
+        for node in linked["nodes"]
+        for key in node.keys() & names.keys()
+        for target in node[key]
+    }
+    assert found == expected
+    assert all(terms[key]["@type"] == "@id" for key in names if key in terms)
 
 
 def test_the_floor_plan_shows_the_classes_in_place(labelled_run, tmp_path):
@@ -293,17 +347,35 @@ def test_the_floor_plan_shows_the_classes_in_place(labelled_run, tmp_path):
     assert len(np.unique(plan.reshape(-1, 3).round(2), axis=0)) > 4
 
 
+def test_the_floor_plan_shows_rooms_and_a_path(labelled_run, tmp_path, capsys):
+    content = json.loads(
+        export(labelled_run, tmp_path / "graph.json", "--format", "scene-graph").read_text()
+    )
+    ids = [str(n["id"]) for n in content["nodes"] if n["name"] == "chair"]
+    words = ["--format", "floor-plan", "--plan.width-m", "0.2"]
+    bare = read_rgb(export(labelled_run, tmp_path / "bare.png", *words))
+    plan = read_rgb(
+        export(labelled_run, tmp_path / "plan.png", *words, "--plan.path", ids[0], ids[1])
+    )
+    assert "1 rooms, and a path of" in capsys.readouterr().out
+    assert plan.shape == bare.shape
+    drawn = np.abs(plan - bare).max(axis=2) > 0.05
+    red = (plan[..., 0] > 0.7) & (plan[..., 1] < 0.3) & (plan[..., 2] < 0.3)
+    assert 0.002 < drawn.mean() < 0.2 and (red & drawn).any()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--to", "OUT/a", "--format", "colmap"], "--format"),
         (["--to", "OUT/a.ply", "--format", "mesh", "--points"], "not both"),
         (["--to", "OUT/a.obj", "--format", "gltf"], ".glb or .gltf"),
-        (["--to", "OUT/a.txt", "--format", "scene-graph"], ".json"),
+        (["--to", "OUT/a.txt", "--format", "scene-graph"], ".json or .jsonld or .graphml"),
         (["--to", "RUN", "--format", "nerfstudio"], "not an empty folder"),
         (["--to", "OUT/no/a.glb"], "there is no folder"),
         (["--to", "/proc/model", "--format", "colmap-text"], "cannot write /proc/model"),
         (["--to", "OUT/a.yaml", "--grid.cell-m", "0"], "--grid.cell-m"),
+        (["--to", "OUT/a.png", "--format", "floor-plan", "--plan.path", "0", "99"], "no object 99"),
         (["--to", "OUT/a.yaml", "--grid.min-height-m", "2"], "must be less than"),
         (["--to", "OUT/a.yaml", "--floor", "flor"], "did you mean floor"),
         (["--to", "OUT/a.json", "--format", "scene-graph", "--floor", "flor"], "did you mean"),

@@ -81,3 +81,44 @@ def test_neighbours_are_next_to_each_other_once_and_also_to_walls():
         ("a", "next to", "b"),
     }
     assert not any(source in ("floor", "wall") and kind == "on" for source, kind, _ in related)
+
+
+def seat(x: float, y: float, back_y: float) -> np.ndarray:
+    """A chair of 0.5 m with its back at one side; z is up."""
+    return np.concatenate(
+        [
+            sheet((x, y, 0.45), (0.5, 0, 0), (0, 0.5, 0), 0.02),
+            sheet((x, back_y, 0), (0.5, 0, 0), (0, 0, 0.9), 0.02),
+        ]
+    )
+
+
+def test_lamps_hang_above_tables_but_cups_stand_on_them():
+    bodies = {"table": table(1.5, 1.0), "lamp": box(2.0, 1.3, 1.6, 0.2)}
+    relation = ("lamp", "above", "table")
+    assert relation in found(floor=FLOOR, **bodies)
+    shifted = {**bodies, "lamp": box(3.2, 1.3, 1.6, 0.2)}
+    assert relation not in found(floor=FLOOR, **shifted)
+    bodies["lamp"] = box(2.0, 1.3, TABLE_TOP_M + 0.01, 0.2)
+    assert relation not in found(floor=FLOOR, **bodies)
+
+
+@pytest.mark.parametrize(("back_y", "faces"), [(0.2, True), (0.7, False)])
+def test_chairs_face_what_is_before_them(back_y, faces):
+    bodies = {"table": table(1.5, 1.0), "chair": seat(1.9, 0.2, back_y)}
+    assert (("chair", "facing", "table") in found(floor=FLOOR, **bodies)) == faces
+
+
+def test_cabinets_have_no_front():
+    bodies = {"table": table(1.5, 1.0), "cabinet": box(1.9, 0.2, 0.0, 0.5)}
+    assert not any(kind == "facing" for _, kind, _ in found(floor=FLOOR, **bodies))
+
+
+@pytest.mark.parametrize(("camera_y", "faces"), [(1.5, True), (-1.5, False)])
+def test_screens_face_the_side_from_which_they_are_seen(camera_y, faces):
+    screen = sheet((1.6, 0.0, 0.9), (1.0, 0, 0), (0, 0, 0.6), 0.02)
+    bodies = [FLOOR, table(1.5, 1.0), screen]
+    points = [se3.transform_points(T_MAP_ROOM, body) for body in bodies]
+    camera = se3.transform_points(T_MAP_ROOM, np.array([[2.0, camera_y, 1.5]]))
+    related = relations(points, GROUND, ["floor", "object", "object"], None, camera)
+    assert any(r.kind == "facing" and (r.source, r.target) == (2, 1) for r in related) == faces

@@ -79,7 +79,7 @@ def _check_export(options: ExportOptions) -> None:
         "labelled-points": LABELLED_SUFFIXES,
         "gltf": GLTF_SUFFIXES,
         "occupancy-grid": (".yaml",),
-        "scene-graph": (".json",),
+        "scene-graph": (".json", ".jsonld", ".graphml"),
         "floor-plan": (".png",),
         "trajectory": (".txt", ".tum"),
         "viewer": (".html",),
@@ -152,6 +152,15 @@ def _check_compare(options: CompareOptions) -> None:
     if len(options.runs) < 2:
         raise SettingsError("give at least two run folders to compare")
     check_output("--out", options.out, (".html",))
+    if options.objects is None:
+        if options.registration is not None or options.same_frame:
+            raise SettingsError("--registration and --same-frame are for --objects FILE; give it")
+        return
+    check_output("--objects", options.objects, (".json",))
+    if len(options.runs) != 2:
+        raise SettingsError(f"--objects compares two runs, got {len(options.runs)}")
+    if options.registration is not None and options.same_frame:
+        raise SettingsError("give --registration or --same-frame, not both")
 
 
 def _check_edit(options: EditOptions) -> None:

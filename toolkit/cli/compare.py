@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from toolkit.cli.programs import CompareOptions
 from toolkit.evaluation.comparison import render_comparison, setting_rows
+from toolkit.exports.map_changes import changes_between
+from toolkit.exports.mapped_scene import map_scene
+from toolkit.exports.options import ObjectGraphOptions
+from toolkit.exports.selection import select
 from toolkit.io.atomic import write_bytes
 from toolkit.runs.comparing import compared_run
+from toolkit.runs.registering import relative_pose
 
 
 def main(options: CompareOptions) -> int:
@@ -18,7 +26,8 @@ def main(options: CompareOptions) -> int:
         0.
 
     Raises:
-        ToolkitError: a folder contains no finished run, or the page cannot be written.
+        ToolkitError: a folder contains no finished run, the page cannot be written, or the objects
+            of the runs cannot be compared.
     """
     names = unique_names(options.runs)
     runs = [
@@ -27,7 +36,34 @@ def main(options: CompareOptions) -> int:
     ]
     write_bytes(options.out, render_comparison(runs).encode())
     print(f"compared {len(runs)} runs, {len(setting_rows(runs))} settings differ: {options.out}")
+    if options.objects is not None:
+        _compare_objects(options, options.objects)
     return 0
+
+
+def _compare_objects(options: CompareOptions, out: Path) -> None:
+    """Write the changed objects of the second run, and print them."""
+    selections = [select(path) for path in options.runs]
+    T_before_after = np.eye(4)
+    if not options.same_frame:
+        runs = [selection.run for selection in selections]
+        T_before_after = relative_pose(runs[0], runs[1], options.registration)
+    before, after = (map_scene(selection, ObjectGraphOptions()) for selection in selections)
+    found = changes_between(before, after, T_before_after)
+    content = {
+        "before": str(options.runs[0]),
+        "after": str(options.runs[1]),
+        "T_before_after": T_before_after.tolist(),
+        **found.values(),
+    }
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_bytes(out, text.encode())
+    for change in found.changes:
+        print(change)
+    print(
+        f"{found.unchanged} objects unchanged, {len(found.unknown)} seen by one run only; wrote "
+        f"{out}"
+    )
 
 
 def unique_names(paths: Sequence[Path]) -> list[str]:

@@ -47,6 +47,7 @@ _OPTIONAL = {
     "pxr": ("usd-core", "splats in OpenUSD"),
     "laspy": ("'laspy[lazrs]'", "point clouds in LAS and LAZ"),
     "fastapi": ("fastapi", "semsplat serve"),
+    "mcp": ("mcp", "semsplat serve --mcp"),
     "uvicorn": ("uvicorn", "semsplat serve"),
     "viser": ("viser", "semsplat view"),
 }

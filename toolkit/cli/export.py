@@ -8,7 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from toolkit.cli.map_programs import ExportOptions
-from toolkit.exports.floors import export_floor_plan, export_occupancy_grid
+from toolkit.exports.floors import export_occupancy_grid
+from toolkit.exports.plans import export_floor_plan
 from toolkit.exports.scene_graph import export_scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
 from toolkit.exports.surfaces import export_gltf, export_labelled_points, export_scene_splats
@@ -115,12 +116,15 @@ def _occupancy_grid(options: ExportOptions, selection: SelectedGaussians) -> str
 
 
 def _scene_graph(options: ExportOptions, selection: SelectedGaussians) -> str:
-    return str(export_scene_graph(options.to, selection, options.objects, options.floor))
+    graph = export_scene_graph(options.to, selection, options.objects, options.floor, options.grid)
+    return str(graph)
 
 
 def _floor_plan(options: ExportOptions, selection: SelectedGaussians) -> str:
-    plan = export_floor_plan(options.to, selection, options.floor)
-    return f"a floor plan with {len(plan.areas)} classes"
+    plan = export_floor_plan(
+        options.to, selection, options.plan, options.objects, options.floor, options.grid
+    )
+    return str(plan)
 
 
 def _viewer(options: ExportOptions, selection: SelectedGaussians) -> str:

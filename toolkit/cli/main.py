@@ -33,7 +33,7 @@ JOBS = {
     "register": ("register", "register the maps of two runs and merge them"),
     "query": ("query", "count, locate and measure the objects of a labelled map"),
     "embed-objects": ("embed_objects", "embed objects with CLIP or SigLIP for queries by text"),
-    "serve": ("serve", "serve views, poses, queries and objects of a run over HTTP"),
+    "serve": ("serve", "serve a run over HTTP, or its objects, rooms and paths to assistants"),
     "check-data": ("check_data", "read a dataset and report its defects"),
     "make-room": ("make_room", "create a synthetic room with ground truth"),
     "build-taxonomy": ("build_taxonomy", "build a taxonomy from class names"),

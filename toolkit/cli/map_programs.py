@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
-from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions
+from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions, PlanOptions
 from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
-from toolkit.serving.options import ServiceLimits
+from toolkit.serving.options import EarlierRun, ServiceLimits
 from toolkit.viewer.options import ShownContent
 
 # A mesh of a room with smaller voxels does not fit in memory.
@@ -30,7 +30,8 @@ class ExportOptions:
     """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply,
     .compressed.ply, .splat, .spz, .sog, .splats.glb, .splats.gltf, .usda, .usdc, .usd, .usdz), mesh
     (.mesh.ply), points (.pcd), gltf, a mesh (.glb, .gltf), labelled-points (.las, .laz),
-    occupancy-grid (.yaml), trajectory (.txt, .tum) or viewer (.html)."""
+    occupancy-grid (.yaml), scene-graph (.jsonld, .graphml), trajectory (.txt, .tum) or viewer
+    (.html)."""
     spz_version: Literal[2, 3, 4] = 4
     """Version of .spz files; more viewers read the versions 2 and 3, and version 2 has coarser
     rotations."""
@@ -59,6 +60,7 @@ class ExportOptions:
     ground, rug and carpet that the taxonomy contains."""
     grid: GridOptions = GridOptions()
     objects: ObjectGraphOptions = ObjectGraphOptions()
+    plan: PlanOptions = PlanOptions()
     viewer: ShownContent = ShownContent()
 
     @property
@@ -86,6 +88,8 @@ _FORMATS_BY_SUFFIX: dict[str, ExportFormat] = {
     ".txt": "trajectory",
     ".tum": "trajectory",
     ".html": "viewer",
+    ".jsonld": "scene-graph",
+    ".graphml": "scene-graph",
 }
 
 
@@ -167,7 +171,8 @@ class EmbedObjectsOptions:
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """Serve poses, rendered views, queries and objects of a finished run over HTTP."""
+    """Serve poses, rendered views, queries and objects of a finished run over HTTP, or to
+    assistants over the Model Context Protocol."""
 
     run: Positional[Path]
     """Run folder."""
@@ -176,4 +181,7 @@ class ServeOptions:
     who can connect can read the map."""
     port: Annotated[int, Range(ge=0, le=65535)] = 8000
     """Port to listen on; 0 chooses a free one."""
+    mcp: bool = False
+    """Serve tools for assistants over stdin and stdout (Model Context Protocol) instead of HTTP."""
     limits: ServiceLimits = ServiceLimits()
+    changes: EarlierRun = EarlierRun()

@@ -123,6 +123,14 @@ class CompareOptions:
     """Run folders, at least two."""
     out: Path = Path("compare.html")
     """Page to write (.html), which needs no network."""
+    objects: Path | None = None
+    """Compare the objects of two runs of one place, and write those that were moved, are new or are
+    gone in the second run as JSON."""
+    registration: Path | None = None
+    """The register.json of `semsplat register` for both runs, which aligns their objects. By
+    default, the maps are registered."""
+    same_frame: bool = False
+    """The maps have the same frame, as maps of given poses do; they are not registered."""
 
 
 @dataclass(frozen=True)

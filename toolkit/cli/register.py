@@ -10,27 +10,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from toolkit.cli.programs import RegisterOptions
-from toolkit.errors import SettingsError, ToolkitError
-from toolkit.features.factory import build_differentiable_describer
+from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
-from toolkit.loops.registration.factory import build_registrar, needs_describer
-from toolkit.loops.registration.views import ViewRenderer
 from toolkit.loops.two_maps import (
     MapRegistration,
     SelectedRegistration,
-    most_similar_submaps,
-    register_submaps,
     select_registration,
 )
-from toolkit.runs.finished import FinishedRun, load_run
-from toolkit.runs.merged_map import label_conflict, merge, shared_semantics
-from toolkit.submaps.store import SavedSubmaps
+from toolkit.runs.finished import load_run
+from toolkit.runs.merged_map import label_conflict, merge
+from toolkit.runs.registering import register_runs
 
 _log = logging.getLogger(__name__)
 
@@ -44,8 +38,7 @@ def main(options: RegisterOptions) -> int:
     """
     a, b = load_run(options.run_a), load_run(options.run_b)
     submaps_a, submaps_b = a.submaps, b.submaps
-    _check_descriptors(a, b, submaps_a, submaps_b)
-    registrations = _register(options, a, b, (submaps_a, submaps_b))
+    registrations = register_runs(a, b, options.pairs, options.registration)
     selection = select_registration(registrations)
     if selection is None:
         raise ToolkitError(_failure(options, registrations))
@@ -71,54 +64,6 @@ def main(options: RegisterOptions) -> int:
     write_bytes(options.out / "register.json", text.encode())
     print(f"wrote {len(merged.gaussians)} Gaussians to {options.out / 'map.ply'}")
     return 0
-
-
-def _check_descriptors(
-    a: FinishedRun, b: FinishedRun, submaps_a: SavedSubmaps, submaps_b: SavedSubmaps
-) -> None:
-    """Check that the keyframes of both runs have comparable descriptors.
-
-    Raises:
-        SettingsError: a run has no descriptors, or they were computed with different settings.
-    """
-    lengths = []
-    for run, submaps in ((a, submaps_a), (b, submaps_b)):
-        length = max(submap.descriptors.shape[1] for submap in submaps.values())
-        if not length:
-            raise SettingsError(
-                f"the keyframes of {run.folder.path} have no descriptors for place recognition; "
-                "run SLAM again with --loops.use"
-            )
-        lengths.append(length)
-    features_a, features_b = a.settings.loops.features, b.settings.loops.features
-    if lengths[0] != lengths[1] or features_a != features_b:
-        raise SettingsError(
-            f"the descriptors of {a.folder.path} ({_described(features_a, lengths[0])}) and "
-            f"{b.folder.path} ({_described(features_b, lengths[1])}) cannot be compared; run one "
-            "of them again with the other's --loops.features"
-        )
-
-
-def _described(features: Any, length: int) -> str:
-    return f"loops.features.kind {features.kind}, source {features.source}, length {length}"
-
-
-def _register(
-    options: RegisterOptions,
-    a: FinishedRun,
-    b: FinishedRun,
-    submaps: tuple[SavedSubmaps, SavedSubmaps],
-) -> list[MapRegistration]:
-    renderer = ViewRenderer(a.settings.backend, shared_semantics(a, b))
-    describer = None
-    if needs_describer(options.registration):
-        describer = build_differentiable_describer(a.settings.loops.features)
-    registrar = build_registrar(options.registration, a.settings.seed, renderer, describer)
-    pairs = most_similar_submaps(*submaps, options.pairs)
-    return [
-        register_submaps(pair, *submaps, registrar)
-        for pair in tqdm(pairs, unit="pair of submaps", disable=None)
-    ]
 
 
 def _failure(options: RegisterOptions, registrations: list[MapRegistration]) -> str:

@@ -1,12 +1,11 @@
-"""`semsplat serve`: an HTTP service for a finished run."""
+"""`semsplat serve`: a finished run over HTTP, or for assistants over stdin and stdout."""
 
 from __future__ import annotations
 
 import logging
 
 from toolkit.cli.map_programs import ServeOptions
-from toolkit.serving.application import is_local
-from toolkit.serving.server import bind, serve
+from toolkit.serving.server import bind, is_local, serve, serve_mcp
 
 _log = logging.getLogger(__name__)
 
@@ -21,6 +20,9 @@ def main(options: ServeOptions) -> int:
         ToolkitError: there is no finished run, the port cannot be used, or a package is not
             installed.
     """
+    if options.mcp:
+        serve_mcp(options.run, options.limits, options.changes)
+        return 0
     if not is_local(options.host):
         _log.warning(
             "Anyone who can connect to %s can read the map, without password or encryption; a "

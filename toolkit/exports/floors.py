@@ -1,4 +1,4 @@
-"""Occupancy grids of the floor for robots, and floor plans as pictures."""
+"""Occupancy grids of the floor for robots."""
 
 from __future__ import annotations
 
@@ -13,11 +13,8 @@ from toolkit.errors import SettingsError, ToolkitError
 from toolkit.exports.options import GridOptions
 from toolkit.exports.selection import SelectedGaussians, ground_of
 from toolkit.geometry import se3
-from toolkit.io.images import write_png
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, write_occupancy_grid
 from toolkit.semantics.boxes import Ground
-from toolkit.semantics.floor_plan import FloorPlan, draw_floor_plan, floor_plan
-from toolkit.semantics.palette import Palette
 
 # Discs of this many standard deviations cover a surface without gaps between Gaussians.
 _DISC_SIGMAS = 1.5
@@ -89,17 +86,23 @@ def occupancy_grid(
         )
     obstacle = (height_m >= options.min_height_m) & (height_m <= options.max_height_m)
     floor = np.abs(height_m) < options.min_height_m
-    origin_m = low * options.cell_m
-
-    def covered(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
-        places = (points_m[mask, :2] - origin_m) / options.cell_m
-        return _counts(places, _DISC_SIGMAS * radii_m[mask] / options.cell_m, (rows, columns))
-
+    origin_m = (float(low[0] * options.cell_m), float(low[1] * options.cell_m))
     cells = np.full((rows, columns), UNKNOWN, np.int8)
-    cells[covered(floor) > 0] = FREE
-    cells[covered(obstacle) >= options.min_gaussians] = OCCUPIED
-    origin = (float(origin_m[0]), float(origin_m[1]))
-    return OccupancyGrid(cells, options.cell_m, origin, T_grid_map)
+    grid = OccupancyGrid(cells, options.cell_m, origin_m, T_grid_map)
+    cells[covering(grid, means_m[floor], radii_m[floor]) > 0] = FREE
+    occupied = covering(grid, means_m[obstacle], radii_m[obstacle]) >= options.min_gaussians
+    cells[occupied] = OCCUPIED
+    return grid
+
+
+def covering(
+    grid: OccupancyGrid, means_m: NDArray[np.float64], radii_m: NDArray[np.float64]
+) -> NDArray[np.int32]:
+    """Return the number [H, W] of Gaussians that cover each cell of a grid, all within it."""
+    points_m = se3.transform_points(grid.T_grid_map, means_m)
+    places = (points_m[:, :2] - grid.origin_m) / grid.cell_m
+    rows, columns = grid.cells.shape
+    return _counts(places, _DISC_SIGMAS * radii_m / grid.cell_m, (rows, columns))
 
 
 def grid_from_map(ground: Ground) -> NDArray[np.float64]:
@@ -131,22 +134,3 @@ def _counts(
             hits = cv2.filter2D(hits, -1, disc.astype(np.float32), borderType=cv2.BORDER_CONSTANT)
         counts += np.rint(hits).astype(np.int32)
     return counts
-
-
-def export_floor_plan(
-    path: Path, selection: SelectedGaussians, floor: Sequence[str] = ()
-) -> FloorPlan:
-    """Write the floor plan of the selected Gaussians as a PNG.
-
-    Raises:
-        ToolkitError: the map has no labels, no floor was found, or the file cannot be written.
-    """
-    opaque = selection.opaque()
-    labelled = opaque.labelled()
-    ground = required_ground(selection, floor)
-    palette = Palette(labelled.taxonomy)
-    cameras_m = selection.run.trajectory.positions_m
-    radii_m = opaque.gaussians.radii_m.numpy().astype(float)
-    plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
-    write_png(path, draw_floor_plan(plan, palette, names=selection.run.length_names))
-    return plan

@@ -40,6 +40,19 @@ class GridOptions:
 
 
 @dataclass(frozen=True)
+class PlanOptions:
+    """What is drawn over floor plans."""
+
+    rooms: bool = False
+    """Draw the outlines, numbers and doors of rooms."""
+    path: tuple[int, int] | None = None
+    """Draw the shortest free path between two objects, by their numbers in the scene graph, and
+    rooms."""
+    width_m: PositiveFloat = 0.6
+    """Minimum free width of the path, in metres."""
+
+
+@dataclass(frozen=True)
 class ObjectGraphOptions:
     """Objects and relations of scene graphs."""
 
@@ -51,3 +64,7 @@ class ObjectGraphOptions:
     """Maximum vertical gap between an object and the one that supports it, in metres."""
     next_to_m: PositiveFloat = 0.3
     """Maximum distance between objects that are next to each other, in metres."""
+    facing_m: PositiveFloat = 2.5
+    """Maximum distance from a seat or screen to the object that it faces, in metres."""
+    max_door_m: PositiveFloat = 1.4
+    """Maximum width of a passage that separates two rooms, in metres."""

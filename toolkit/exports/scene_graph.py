@@ -1,4 +1,7 @@
-"""Export the objects of a map and their relations as JSON, in the node-link format of NetworkX."""
+"""Export the objects of a map, its rooms and their relations.
+
+JSON is in the node-link format of NetworkX; JSON-LD and GraphML contain the same graph.
+"""
 
 from __future__ import annotations
 
@@ -8,89 +11,88 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolkit.exports.floors import required_ground
-from toolkit.exports.options import ObjectGraphOptions
+from toolkit.exports.mapped_scene import MappedScene, map_scene
+from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.atomic import write_bytes
-from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES, LabelledMap, ObjectOptions
-from toolkit.semantics.relations import RelationOptions, Role, relations
-from toolkit.semantics.scene import WALL_NAMES, SceneReader
+from toolkit.io.graphs import graphml_bytes, json_ld
 
 
 @dataclass(frozen=True)
 class SceneGraph:
-    """Objects (nodes) and their relations (edges) as JSON values."""
+    """Objects and rooms (nodes) and their relations (edges) as JSON values."""
 
     content: dict[str, Any]
 
     def __str__(self) -> str:
-        return f"{len(self.content['nodes'])} objects, {len(self.content['edges'])} relations"
+        rooms = sum(node["kind"] == "room" for node in self.content["nodes"])
+        objects = len(self.content["nodes"]) - rooms
+        return f"{objects} objects, {rooms} rooms, {len(self.content['edges'])} relations"
 
 
 def export_scene_graph(
-    path: Path, selection: SelectedGaussians, options: ObjectGraphOptions, floor: Sequence[str] = ()
+    path: Path,
+    selection: SelectedGaussians,
+    options: ObjectGraphOptions,
+    floor: Sequence[str] = (),
+    grid: GridOptions | None = None,
 ) -> SceneGraph:
-    """Write the scene graph of the selected Gaussians.
+    """Write the scene graph of the selected Gaussians as .json, .jsonld or .graphml.
 
     Raises:
         ToolkitError: the map has no labels, no floor was found, or the file cannot be written.
     """
-    graph = scene_graph(selection, options, floor)
-    text = json.dumps(graph.content, indent=1, ensure_ascii=False, allow_nan=False)
+    graph = scene_graph(map_scene(selection, options, floor, grid))
+    if path.suffix.lower() == ".graphml":
+        write_bytes(path, graphml_bytes(graph.content))
+        return graph
+    content = json_ld(graph.content) if path.suffix.lower() == ".jsonld" else graph.content
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (text + "\n").encode())
     return graph
 
 
-def scene_graph(
-    selection: SelectedGaussians, options: ObjectGraphOptions, floor: Sequence[str] = ()
-) -> SceneGraph:
-    """Return the objects of the selected Gaussians and their relations.
-
-    Raises:
-        ToolkitError: the map has no labels, or no floor was found.
-    """
-    labelled = selection.labelled()
-    ground = required_ground(selection, floor)
-    object_options = ObjectOptions(options.link_m, options.min_gaussians)
-    viewpoint_m = selection.run.tracked[0].T_map_camera[:3, 3]
-    reader = SceneReader(labelled, object_options, viewpoint_m, floor or FLOOR_NAMES, ground)
-    objects = labelled.objects(None, ground, object_options)
-    floors = _paths(labelled, [*(floor or FLOOR_NAMES), *CEILING_NAMES])
-    walls = _paths(labelled, WALL_NAMES)
-    roles = [_role(found.node.path, floors, walls) for found in objects]
-    found = relations(
-        [labelled.means_m[o.index] for o in objects],
-        ground,
-        roles,
-        RelationOptions(options.contact_m, options.next_to_m),
-    )
+def scene_graph(scene: MappedScene) -> SceneGraph:
+    """Return the graph of a scene: objects are numbered from 0, rooms behind them."""
+    run, ground, count = scene.selection.run, scene.ground, len(scene.objects)
+    nodes = [
+        {"id": k, "kind": "structure" if scene.enclosing[k] else "object", **scene.describe(k)}
+        for k in range(count)
+    ]
+    rooms = [
+        {"id": count + k, "kind": "room", **scene.describe_room(k)}
+        for k in range(len(scene.space.rooms))
+    ]
+    edges = [_edge(r.source, r.target, r.kind) for r in scene.relations]
+    edges += [
+        _edge(k, count + room, "part of" if scene.enclosing[k] else "in")
+        for k in range(count)
+        for room in scene.rooms_of(k)
+    ]
+    edges += [
+        {
+            **_edge(count + door.rooms[0], count + door.rooms[1], "connected to"),
+            "width_m": round(door.width_m, 2),
+        }
+        for door in scene.space.rooms.doors
+    ]
+    taxonomy = scene.map.taxonomy
     content = {
         "directed": True,
         "multigraph": True,
         "graph": {
-            "frame": f"map of the run, {'metres' if selection.run.metric else 'arbitrary units'}",
-            "metric": selection.run.metric,
-            "map_origin_m": selection.run.origin_m.tolist(),
+            "frame": f"map of the run, {'metres' if run.metric else 'arbitrary units'}",
+            "metric": run.metric,
+            "map_origin_m": run.origin_m.tolist(),
             "up": ground.up.round(6).tolist(),
             "floor_height_m": round(ground.height_m, 4),
-            "taxonomy": {"name": labelled.taxonomy.name, "digest": labelled.taxonomy.digest},
+            "taxonomy": {"name": taxonomy.name, "digest": taxonomy.digest},
         },
-        "nodes": [{"id": k, **reader.describe(o)} for k, o in enumerate(objects)],
-        "edges": [
-            {"source": r.source, "target": r.target, "key": r.kind, "relation": r.kind}
-            for r in found
-        ],
+        "nodes": [*nodes, *rooms],
+        "edges": edges,
     }
     return SceneGraph(content)
 
 
-def _paths(labelled: LabelledMap, names: Sequence[str]) -> list[tuple[str, ...]]:
-    return [labelled.taxonomy.find(name).path for name in labelled.known(names)]
-
-
-def _role(
-    path: tuple[str, ...], floors: Sequence[tuple[str, ...]], walls: Sequence[tuple[str, ...]]
-) -> Role:
-    if any(path[: len(other)] == other for other in floors):
-        return "floor"
-    return "wall" if any(path[: len(other)] == other for other in walls) else "object"
+def _edge(source: int, target: int, kind: str) -> dict[str, Any]:
+    return {"source": source, "target": target, "key": kind, "relation": kind}

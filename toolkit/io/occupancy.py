@@ -43,6 +43,28 @@ class OccupancyGrid:
         occupied_m2 = cell_m2 * int((self.cells == OCCUPIED).sum())
         return f"{columns} x {rows} cells, {free_m2:.1f} m2 free, {occupied_m2:.1f} m2 occupied"
 
+    def cells_of(self, points_m: NDArray[np.float64]) -> NDArray[np.intp]:
+        """Return row and column [N, 2] of the cells below points [N, 3] of the map.
+
+        Points outside the grid belong to the nearest cell of its border.
+        """
+        places = points_m @ self.T_grid_map[:2, :3].T + self.T_grid_map[:2, 3]
+        columns_rows = np.floor((places - self.origin_m) / self.cell_m)
+        last = np.array(self.cells.shape) - 1
+        return np.clip(columns_rows[:, ::-1], 0, last).astype(np.intp)
+
+    def points_of(self, cells: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the points [N, 3] of the map on the floor at the centres of cells [N, 2]."""
+        flat = (cells[:, ::-1] + 0.5) * self.cell_m + self.origin_m
+        offset = np.column_stack([flat, np.zeros(len(flat))]) - self.T_grid_map[:3, 3]
+        return offset @ self.T_grid_map[:3, :3]
+
+    def mask_of(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return the mask [H, W] of the cells below points [N, 3] of the map."""
+        mask = np.zeros(self.cells.shape, bool)
+        mask[tuple(self.cells_of(points_m).T)] = True
+        return mask
+
 
 def write_occupancy_grid(
     path: Path, grid: OccupancyGrid, map_origin_m: NDArray[np.float64] | None = None

@@ -28,6 +28,7 @@ _MARGIN = 12
 _MIN_WIDTH, _MAX_SIDE = 480, 3000
 _MIN_AREA_M2 = 0.02
 _BACKGROUND, _INK = (245, 246, 248), (40, 48, 58)
+_ROOM, _WAY = (250, 140, 20), (215, 40, 40)
 # Gaussians higher than this percentile of the heights are the ceiling where it has no label.
 _TOP_PERCENT = 97.0
 
@@ -57,12 +58,35 @@ class FloorPlan:
         pixel_m: edge of a pixel in metres.
         areas: classes with their areas, largest first.
         path: [P, 2] pixels (column, row) of the camera positions.
+        T_pixels_map: [2, 4] from points of the map to pixels (column, row).
     """
 
     class_ids: NDArray[np.int32]
     pixel_m: float
     areas: Sequence[ClassArea]
     path: NDArray[np.float64]
+    T_pixels_map: NDArray[np.float64]
+
+    def pixels(self, points_m: Array) -> Array:
+        """Return the pixels (column, row) [N, 2] of points [N, 3] of the map."""
+        return points_m @ self.T_pixels_map[:, :3].T + self.T_pixels_map[:, 3]
+
+
+@dataclass(frozen=True)
+class PlanDrawing:
+    """What is drawn over a floor plan.
+
+    Attributes:
+        rooms: label and outlines of each room: [K, 3] points of the map for each outline.
+        centres_m: [R, 3] places of the labels.
+        doors_m: [D, 3] places of the doors.
+        way_points_m: [P, 3] a path; empty for none.
+    """
+
+    rooms: Sequence[tuple[str, Sequence[Array]]]
+    centres_m: Array
+    doors_m: Array
+    way_points_m: Array
 
 
 def floor_plan(
@@ -93,10 +117,13 @@ def floor_plan(
     sizes = np.minimum(np.rint(_DISC_SIGMAS * radii_m[shown] / pixel_m), _MAX_DISC).astype(int)
     highest = _highest(places, sizes, visible[:, 2], (int(size[1]), int(size[0])))
     class_ids = np.where(highest >= 0, labelled.labels.label[shown][highest], -1)
-    path = (cameras_m @ axes[:, :2] - low) / pixel_m
-    path[:, 1] = size[1] - path[:, 1]
+    T_pixels_map = np.column_stack([axes[:, :2].T, -low]) / pixel_m
+    # The first row has the largest y.
+    T_pixels_map[1] *= -1.0
+    T_pixels_map[1, 3] += size[1]
+    path = cameras_m @ T_pixels_map[:, :3].T + T_pixels_map[:, 3]
     areas = _areas(labelled, shown, ground, palette)
-    return FloorPlan(class_ids[::-1].astype(np.int32), pixel_m, areas, path)
+    return FloorPlan(class_ids[::-1].astype(np.int32), pixel_m, areas, path, T_pixels_map)
 
 
 def _highest(
@@ -135,13 +162,18 @@ def _areas(
 
 
 def draw_floor_plan(
-    plan: FloorPlan, palette: Palette, legend: bool = True, names: LengthNames = METRES
+    plan: FloorPlan,
+    palette: Palette,
+    legend: bool = True,
+    names: LengthNames = METRES,
+    drawing: PlanDrawing | None = None,
 ) -> RgbImage:
     """Return the picture of a floor plan: classes, camera path and scale.
 
     Args:
         legend: append the classes with their areas.
         names: of lengths.
+        drawing: rooms and a path to draw over it.
     """
     colours = np.concatenate([palette.classes, np.array([_BACKGROUND], np.uint8)])
     colours[VOID] = (150, 156, 164)
@@ -152,6 +184,8 @@ def draw_floor_plan(
         points = np.rint(factor * plan.path).astype(np.int32)
         cv2.polylines(image, [points], False, (255, 255, 255), 3, cv2.LINE_AA)
         cv2.polylines(image, [points], False, _INK, 1, cv2.LINE_AA)
+    if drawing is not None:
+        _draw_rooms(image, plan, factor, drawing)
     _draw_scale(image, factor / plan.pixel_m, names)
     if not legend:
         return image
@@ -165,3 +199,25 @@ def _draw_scale(image: RgbImage, pixels_per_m: float, names: LengthNames) -> Non
     cv2.line(image, (8, bottom), (8 + length, bottom), _INK, 2)
     text = f"1 {names.length.removesuffix('s')}"
     cv2.putText(image, text, (12, bottom - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
+
+
+def _draw_rooms(image: RgbImage, plan: FloorPlan, factor: int, drawing: PlanDrawing) -> None:
+    """Draw outlines, names and doors of rooms, and a path."""
+    for (name, outlines), centre_m in zip(drawing.rooms, drawing.centres_m, strict=True):
+        for outline_m in outlines:
+            points = np.rint(factor * plan.pixels(outline_m)).astype(np.int32)
+            cv2.polylines(image, [points], True, _ROOM, 2, cv2.LINE_AA)
+        x, y = np.rint(factor * plan.pixels(centre_m[None])[0]).astype(int).tolist()
+        for colour, width in (((255, 255, 255), 6), (_INK, 2)):
+            place = (x - 6 * len(name), y)
+            cv2.putText(
+                image, name, place, cv2.FONT_HERSHEY_SIMPLEX, 0.7, colour, width, cv2.LINE_AA
+            )
+    for door in np.rint(factor * plan.pixels(drawing.doors_m)).astype(int).tolist():
+        cv2.circle(image, door, 5, _ROOM, -1, cv2.LINE_AA)
+    if len(drawing.way_points_m) > 1:
+        points = np.rint(factor * plan.pixels(drawing.way_points_m)).astype(np.int32)
+        cv2.polylines(image, [points], False, (255, 255, 255), 6, cv2.LINE_AA)
+        cv2.polylines(image, [points], False, _WAY, 3, cv2.LINE_AA)
+        for end in (points[0].tolist(), points[-1].tolist()):
+            cv2.circle(image, end, 5, _WAY, -1, cv2.LINE_AA)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import re
 from collections.abc import Awaitable, Callable, Iterable
 from typing import Annotated, Any
@@ -26,6 +25,7 @@ from toolkit.serving.requests import (
     ViewParameters,
 )
 from toolkit.serving.served_run import NotAvailableError, ServedRun
+from toolkit.serving.server import is_local
 
 KeyframeNumber = Annotated[int, Path(ge=0, le=10**9)]
 _PNG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/png": {}}}}
@@ -37,16 +37,6 @@ _HEADERS = {
     "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'",
     "x-content-type-options": "nosniff",
 }
-
-
-def is_local(host: str) -> bool:
-    """Return whether only this machine can reach an address. Other names are not looked up."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def build_application(

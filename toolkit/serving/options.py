@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from toolkit.options import PositiveInt, Range
@@ -21,3 +22,16 @@ class ServiceLimits:
     another. Further ones are answered with status 503."""
     max_connections: PositiveInt = 128
     """Maximum number of open connections of all clients."""
+
+
+@dataclass(frozen=True)
+class EarlierRun:
+    """The earlier run of the same place with which --mcp compares the objects of the run."""
+
+    earlier: Path | None = None
+    """Folder of the earlier run."""
+    registration: Path | None = None
+    """The register.json of `semsplat register` for both runs, which aligns them. By default, the
+    maps are registered when an assistant asks for changes."""
+    same_frame: bool = False
+    """The maps have the same frame, as maps of given poses do; they are not registered."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from toolkit.datasets.resize import ImageGrid
 from toolkit.errors import RunFolderError, SettingsError, ToolkitError
 from toolkit.evaluation.run_metrics import TrackedFrame
+from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.scene_graph import scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
@@ -196,13 +197,22 @@ class ServedRun:
         return Palette(self._run.taxonomy)
 
     @cached_property
-    def _objects(self) -> dict[str, Any]:
-        try:
-            return scene_graph(self._selection, ObjectGraphOptions()).content
-        except ToolkitError as error:
-            raise NotAvailableError(self._without_path(error)) from error
+    def scene(self) -> MappedScene:
+        """Objects, relations and rooms; the first use takes seconds.
 
-    def _without_path(self, error: ToolkitError) -> str:
+        Raises:
+            NotAvailableError: the map has no labels, or no floor was found.
+        """
+        try:
+            return map_scene(self._selection, ObjectGraphOptions())
+        except ToolkitError as error:
+            raise NotAvailableError(self.without_path(error)) from error
+
+    @cached_property
+    def _objects(self) -> dict[str, Any]:
+        return scene_graph(self.scene).content
+
+    def without_path(self, error: ToolkitError) -> str:
         """Return the message of an error without the paths of this machine."""
         return (
             str(error)
@@ -217,7 +227,7 @@ class ServedRun:
         try:
             labelled = self._selection.labelled()
         except RunFolderError as error:
-            raise NotAvailableError(self._without_path(error)) from error
+            raise NotAvailableError(self.without_path(error)) from error
         return SceneReader(labelled, options, self._run.tracked[0].T_map_camera[:3, 3])
 
     def _camera_of(self, request: RenderRequest) -> Camera:

@@ -1,16 +1,27 @@
-"""Start the service on a port of this machine."""
+"""Start the service on a port of this machine, or over stdin and stdout."""
 
 from __future__ import annotations
 
 import errno
+import ipaddress
 import socket
 from collections.abc import Callable
 from pathlib import Path
 
 from toolkit.errors import DependencyError, SettingsError
-from toolkit.serving.options import ServiceLimits
+from toolkit.serving.options import EarlierRun, ServiceLimits
 
 _BACKLOG = 128
+
+
+def is_local(host: str) -> bool:
+    """Return whether only this machine can reach an address. Other names are not looked up."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -73,7 +84,7 @@ def serve(
             import uvicorn
 
             from toolkit.serving.admission import Computations
-            from toolkit.serving.application import build_application, is_local
+            from toolkit.serving.application import build_application
         except ModuleNotFoundError as error:
             raise DependencyError(
                 f"semsplat serve needs {error.name}: pip install 'semsplat[server]'"
@@ -104,3 +115,30 @@ def serve(
             return
         finally:
             computations.close()
+
+
+def serve_mcp(path: Path, limits: ServiceLimits, earlier: EarlierRun) -> None:
+    """Answer an assistant over stdin and stdout until stdin ends.
+
+    Args:
+        path: the run folder.
+        earlier: the earlier run of the place, for changes.
+
+    Raises:
+        DependencyError: the packages of the extra `agents` are missing.
+        ToolkitError: there is no finished run, or a file is damaged.
+    """
+    try:
+        from toolkit.serving.agents import serve_agents
+    except ModuleNotFoundError as error:
+        raise DependencyError(
+            f"semsplat serve --mcp needs {error.name}: pip install 'semsplat[agents]'"
+        ) from error
+    from toolkit.serving.map_tools import MapTools
+    from toolkit.serving.served_run import ServedRun
+
+    run = ServedRun(path, limits.max_pixels)
+    try:
+        serve_agents(run, MapTools(run, earlier), limits.max_waiting)
+    except KeyboardInterrupt:
+        return

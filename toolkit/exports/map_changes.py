@@ -1,0 +1,52 @@
+"""Compare the objects of two finished runs of one place."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.exports.mapped_scene import MappedScene
+from toolkit.geometry import se3
+from toolkit.runs.visibility import KeyframeViews
+from toolkit.semantics.changes import ComparedObject, MapChanges, Seen, compare_objects
+
+
+def changes_between(
+    before: MappedScene, after: MappedScene, T_before_after: NDArray[np.float64]
+) -> MapChanges:
+    """Compare the objects of two maps; what encloses rooms is not compared.
+
+    Args:
+        before: the first map; changes are in its frame.
+        after: the second map.
+        T_before_after: [4, 4] pose of the second map in the frame of the first.
+    """
+    T_after_before = se3.inverse(T_before_after)
+    return compare_objects(
+        _objects(before, np.eye(4)),
+        _objects(after, T_before_after),
+        lambda points_m: _seen(before.views, points_m),
+        lambda points_m: _seen(after.views, se3.transform_points(T_after_before, points_m)),
+    )
+
+
+def _objects(scene: MappedScene, T: NDArray[np.float64]) -> list[ComparedObject]:
+    """Return the objects that are in rooms, moved by a rigid motion [4, 4]."""
+    return [
+        ComparedObject(
+            number, found.node.path, scene.points_m(number), found.box.centre_m, found.box.size_m
+        ).moved(T)
+        for number, found in enumerate(scene.objects)
+        if not scene.enclosing[number]
+    ]
+
+
+def _seen(views: KeyframeViews, points_m: NDArray[np.float64]) -> Seen:
+    surface = np.zeros(len(points_m), int)
+    through = np.zeros(len(points_m), int)
+    for view in range(len(views)):
+        sight = views.sight(view, points_m)
+        surface += sight.surface
+        through += sight.through
+    observed = surface + through > 0
+    return Seen(float(observed.mean()), float((through > surface).mean()))

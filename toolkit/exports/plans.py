@@ -1,0 +1,100 @@
+"""Floor plans as pictures, with rooms and paths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import SettingsError
+from toolkit.exports.floors import required_ground
+from toolkit.exports.mapped_scene import MappedScene, map_scene
+from toolkit.exports.options import GridOptions, ObjectGraphOptions, PlanOptions
+from toolkit.exports.selection import SelectedGaussians
+from toolkit.io.images import write_png
+from toolkit.io.occupancy import OccupancyGrid
+from toolkit.semantics.floor_plan import PlanDrawing, draw_floor_plan, floor_plan
+from toolkit.semantics.palette import Palette
+from toolkit.semantics.paths import FreePath, PathFinder
+
+
+@dataclass(frozen=True)
+class WrittenPlan:
+    """What a floor plan shows: number of classes, and of rooms and a path if they were drawn."""
+
+    classes: int
+    rooms: int | None
+    path: FreePath | None
+
+    def __str__(self) -> str:
+        text = f"a floor plan with {self.classes} classes"
+        if self.rooms is not None:
+            text += f" and {self.rooms} rooms"
+        if self.path is not None:
+            text += f", and a path of {self.path.length_m:.2f} m, {self.path.width_m:.2f} m wide,"
+        return text
+
+
+def export_floor_plan(
+    path: Path,
+    selection: SelectedGaussians,
+    options: PlanOptions,
+    objects: ObjectGraphOptions,
+    floor: Sequence[str] = (),
+    grid: GridOptions | None = None,
+) -> WrittenPlan:
+    """Write the floor plan of the selected Gaussians as a PNG.
+
+    Raises:
+        ToolkitError: the map has no labels, no floor was found, there is no such object or no free
+            path, or the file cannot be written.
+    """
+    opaque = selection.opaque()
+    labelled = opaque.labelled()
+    ground = required_ground(selection, floor)
+    palette = Palette(labelled.taxonomy)
+    cameras_m = selection.run.trajectory.positions_m
+    radii_m = opaque.gaussians.radii_m.numpy().astype(float)
+    plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
+    drawing, found, rooms = None, None, None
+    if options.rooms or options.path is not None:
+        scene = map_scene(selection, objects, floor, grid)
+        found = _path(scene, options)
+        drawing, rooms = _drawing(scene, found), len(scene.space.rooms)
+    names = selection.run.length_names
+    write_png(path, draw_floor_plan(plan, palette, names=names, drawing=drawing))
+    return WrittenPlan(len(plan.areas), rooms, found)
+
+
+def _path(scene: MappedScene, options: PlanOptions) -> FreePath | None:
+    if options.path is None:
+        return None
+    for number in options.path:
+        if not 0 <= number < len(scene.objects):
+            raise SettingsError(
+                f"--plan.path: there is no object {number}; the objects are 0 to "
+                f"{len(scene.objects) - 1}, as in the scene graph"
+            )
+    start, goal = (scene.place(number) for number in options.path)
+    return PathFinder(scene.space.grid).shortest(start, goal, options.width_m)
+
+
+def _drawing(scene: MappedScene, path: FreePath | None) -> PlanDrawing:
+    rooms, grid = scene.space.rooms, scene.space.grid
+    return PlanDrawing(
+        [(f"room {k + 1}", _outlines(rooms.numbers == k, grid)) for k in range(len(rooms))],
+        grid.points_of(np.array(rooms.centres, np.intp).reshape(-1, 2)),
+        grid.points_of(np.array([door.cell for door in rooms.doors], np.intp).reshape(-1, 2)),
+        np.empty((0, 3)) if path is None else path.points_m,
+    )
+
+
+def _outlines(room: NDArray[np.bool_], grid: OccupancyGrid) -> list[NDArray[np.float64]]:
+    contours, _ = cv2.findContours(
+        room.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+    )
+    return [grid.points_of(contour[:, 0, ::-1].astype(np.intp)) for contour in contours]

@@ -1,0 +1,98 @@
+"""What the keyframes of a finished run see: small depth images rendered from its map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.resize import ImageGrid
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.rendering import backend, render_surface
+from toolkit.runs.finished import FinishedRun
+
+Array = NDArray[np.float64]
+
+# Width of the images in pixels, and maximum number of keyframes, evenly spaced.
+_WIDTH, _MAX_VIEWS = 96, 150
+# A point is at the surface of a pixel if their depths differ by less than this; one pixel of a
+# surface seen at a grazing angle spans about 2 % of its depth.
+_SAME_M, _SAME_SHARE = 0.06, 0.02
+# Points nearer than this are behind the camera.
+_NEAR_M = 0.05
+
+
+@dataclass(frozen=True)
+class Sight:
+    """How one view sees points.
+
+    Attributes:
+        surface: [N] whether the map has a surface at the point.
+        through: [N] whether the view sees a surface behind the point.
+    """
+
+    surface: NDArray[np.bool_]
+    through: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class KeyframeViews:
+    """Depth images of keyframes.
+
+    Attributes:
+        camera: intrinsics of the images.
+        frames: frame index of each view.
+        T_map_camera: [K, 4, 4] their poses.
+        depth_m: [K, H, W] depth, not finite or 0 where there is no surface.
+    """
+
+    camera: Camera
+    frames: list[int]
+    T_map_camera: Array
+    depth_m: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        """Number of views."""
+        return len(self.frames)
+
+    def sight(self, view: int, points_m: Array) -> Sight:
+        """Return how a view sees points [N, 3] of the map."""
+        local = se3.transform_points(se3.inverse(self.T_map_camera[view]), points_m)
+        z = np.maximum(local[:, 2], _NEAR_M)
+        columns, rows = np.rint(self.camera.project(np.column_stack([local[:, :2], z]))).T
+        inside = (local[:, 2] > _NEAR_M) & (columns >= 0) & (rows >= 0)
+        inside &= (columns < self.camera.width) & (rows < self.camera.height)
+        depth_m = np.zeros(len(points_m))
+        places = rows[inside].astype(int), columns[inside].astype(int)
+        depth_m[inside] = self.depth_m[view][places]
+        known = np.isfinite(depth_m) & (depth_m > 0)
+        gap = np.where(known, depth_m - z, 0.0)
+        tolerance = _SAME_M + _SAME_SHARE * z
+        return Sight(known & (np.abs(gap) <= tolerance), known & (gap > tolerance))
+
+    def end_points(self, view: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the surface points [H, W, 3] of a view in the map, and which are known [H, W]."""
+        depth_m = self.depth_m[view].astype(np.float64)
+        known = np.isfinite(depth_m) & (depth_m > 0)
+        local = self.camera.unproject(np.where(known, depth_m, 0.0))
+        return se3.transform_points(self.T_map_camera[view], local), known
+
+
+def keyframe_views(run: FinishedRun) -> KeyframeViews:
+    """Render the depth of the keyframes of a run that have a pose."""
+    keyframes = set(run.keyframes)
+    tracked = [f for f in run.tracked if f.index in keyframes] or run.tracked
+    step = max(1, -(-len(tracked) // _MAX_VIEWS))
+    shown = tracked[::step]
+    height = max(1, round(_WIDTH * run.camera.height / run.camera.width))
+    camera = ImageGrid(run.camera, (_WIDTH, height)).camera
+    renderer = backend(run.settings.backend)
+    depth_m = np.empty((len(shown), camera.height, camera.width), np.float32)
+    for number, frame in enumerate(shown):
+        T_camera_map = se3.inverse(frame.T_map_camera)
+        surface = render_surface(renderer, run.gaussians, camera, T_camera_map)
+        depth_m[number] = surface.depth_m.numpy()
+    poses = np.array([f.T_map_camera for f in shown]).reshape(-1, 4, 4)
+    return KeyframeViews(camera, [f.index for f in shown], poses, depth_m)

@@ -1,0 +1,68 @@
+"""The side that objects face: away from the back of a seat, or the seen side of a panel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# A seat: its front half ends at this height above the floor and at most at this share of the
+# height of the object; the rest above it is the back.
+_SEAT_M, _SEAT_SHARE = (0.25, 0.65), 0.7
+_MAX_SIDE_M = 3.0
+# Minimum distance from the back to the middle of the object, relative to its depth.
+_MIN_OFFSET = 0.15
+# A panel (screen, picture, board) is upright, thin relative to its width and above the floor.
+_PANEL_RATIO, _MAX_PANEL_M = 0.3, 0.15
+_MIN_PANEL_M, _MIN_PANEL_HEIGHT_M = 0.2, 0.3
+# Minimum number of points of a back.
+_MIN_POINTS = 8
+
+
+def front_of(points: Array, cameras: Array) -> Array | None:
+    """Return the horizontal direction [2] that an object faces, None if it has no front.
+
+    Args:
+        points: [N, 3] points of the object; the third axis is up, and the floor is at z = 0.
+        cameras: [P, 3] positions of the camera in the same axes: panels face them.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = high - low
+    flat = points[:, :2] - points[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov(flat.T) if len(flat) > 2 else np.eye(2))
+    extent = np.ptp(flat @ axes, axis=0)  # along the thin axis, along the wide axis
+    thin, wide = (float(v) for v in extent)
+    if thin <= min(_MAX_PANEL_M, _PANEL_RATIO * wide) and low[2] >= _MIN_PANEL_HEIGHT_M:
+        if min(wide, size[2]) < _MIN_PANEL_M:
+            return None
+        return _seen_side(axes[:, 0], points[:, :2].mean(axis=0), cameras)
+    above = points[:, 2] > _SEAT_SHARE * high[2]
+    if wide > _MAX_SIDE_M or min(above.sum(), (~above).sum()) < _MIN_POINTS:
+        return None
+    along = points[:, :2] @ axes
+    # The middle of extents instead of means: density of points varies.
+    offset = _middle(along) - _middle(along[above])
+    axis = int((np.abs(offset) / np.maximum(extent, 1e-6)).argmax())
+    if abs(offset[axis]) < _MIN_OFFSET * extent[axis]:
+        return None
+    front = np.sign(offset[axis]) * axes[:, axis]
+    ahead = points[:, :2] @ front > float(_middle(points[:, :2] @ front))
+    seat_m = float(np.percentile(points[ahead, 2], 95))
+    is_seat = _SEAT_M[0] <= seat_m <= min(_SEAT_M[1], _SEAT_SHARE * high[2])
+    return np.asarray(front) if is_seat else None
+
+
+def _middle(places: Array) -> Array:
+    low, high = np.percentile(places, (5, 95), axis=0)
+    return np.asarray((low + high) / 2)
+
+
+def _seen_side(normal: Array, centre: Array, cameras: Array) -> Array | None:
+    """Return the sign of a normal that most of the near cameras see; None without cameras."""
+    offsets = cameras[:, :2] - centre
+    near = np.linalg.norm(offsets, axis=1) < 4.0
+    if not near.any():
+        return None
+    side = float(np.median(offsets[near] @ normal))
+    return normal if side > 0 else -normal
