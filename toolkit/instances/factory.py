@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from toolkit.errors import SettingsError
+from toolkit.instances.coco import CocoMasks
+from toolkit.instances.geometric import GeometricMasks
 from toolkit.instances.mask_images import MaskImageFolder
 from toolkit.instances.masks import MaskSource
 from toolkit.instances.options import InstanceOptions
@@ -34,11 +36,15 @@ def build_instances(
 
 
 def _source(options: InstanceOptions, stems: Sequence[str] | None) -> MaskSource:
+    if options.kind == "geometric":
+        return GeometricMasks()
     path = options.path
     if path is None:
         raise SettingsError("--instances.kind folder needs the masks: add --instances.path FOLDER")
     if not path.exists():
         raise SettingsError(f"{path} does not exist; set --instances.path to the masks")
     by_stem = options.pairing == "stem" and stems is not None
+    if path.is_file():
+        return CocoMasks(path, stems if by_stem else None)
     files = files_by_stem(path, stems or ()) if by_stem else files_by_number(path)
     return MaskImageFolder(path, files)
