@@ -31,14 +31,20 @@ class GeometricMasks:
 
     With class labels, a segment is a connected region of one class without a step in depth;
     without labels, it also ends at folds and at edges of colour.
+
+    Args:
+        use_labels: use the class labels of keyframes that have them.
     """
+
+    def __init__(self, use_labels: bool = True) -> None:
+        self._use_labels = use_labels
 
     def masks(self, keyframe: Keyframe) -> InstanceMasks | None:
         """Return the segments of a keyframe."""
         step = sampling_step(keyframe.camera.width)  # more pixels are not compared
         depth_m = np.ascontiguousarray(keyframe.depth_m.numpy()[::step, ::step])
         labels = None
-        if keyframe.class_ids is not None:
+        if self._use_labels and keyframe.class_ids is not None:
             labels = keyframe.class_ids.numpy()[::step, ::step]
         smooth = depth_m > 0
         smooth &= ~_depth_steps(depth_m)

@@ -38,6 +38,7 @@ class InstanceTracker:
         class_names: names of the class ids of keyframes, for masks without a class.
 
     Attributes:
+        source: yields the masks.
         objects: objects by number.
         records: the masks of all keyframes, in order.
         evidence: which objects are one, and which are not.
@@ -55,7 +56,7 @@ class InstanceTracker:
         self.records: list[KeyframeMasks] = []
         self.evidence = PairEvidence()
         self.merged: dict[int, int] = {}
-        self._source, self._class_names = source, class_names or {}
+        self.source, self._class_names = source, class_names or {}
         self._votes: dict[int, VoxelVotes] = {}
         self._seen: set[tuple[int, int]] = set()
         self._next = 1
@@ -77,7 +78,7 @@ class InstanceTracker:
             self._add(submap, keyframe)
 
     def _add(self, submap: int, keyframe: Keyframe) -> None:
-        masks = self._source.masks(keyframe)
+        masks = self.source.masks(keyframe)
         if masks is None or not len(masks):
             return
         masks = _limited(masks)
