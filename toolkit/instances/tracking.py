@@ -98,10 +98,10 @@ class InstanceTracker:
             one = self.objects[int(found[k])]
             score, embedding = float(masks.scores[k]), masks.embeddings[k]
             one.see(keyframe.index, float(areas[k]), classes[k], score, embedding)
-        self._observe(overlaps, found)
+        covered = self._observe(overlaps)
         add_votes(votes, seen, rows, overlaps, found, self.settled)
         self.records.append(KeyframeMasks.of(keyframe.index, submap, found, ids))
-        self._merge(votes, overlaps)
+        self._merge(votes, covered)
 
     def _classes(
         self, masks: InstanceMasks, ids: NDArray[np.int32], keyframe: Keyframe, step: int
@@ -137,20 +137,29 @@ class InstanceTracker:
             found[k] = number
         return found
 
-    def _observe(self, overlaps: Overlaps, found: NDArray[np.int32]) -> None:
-        """Count which visible objects one mask covers, and which ones different masks cover."""
+    def _observe(self, overlaps: Overlaps) -> list[tuple[int, int]]:
+        """Count which visible objects one mask covers, and which ones different masks cover.
+
+        Returns:
+            The pairs that one mask covers.
+        """
         visible = np.flatnonzero(overlaps.visible >= _MIN_VISIBLE)
         covered = overlaps.covered[1:, visible] >= COVERED
         mask = np.where(covered.any(axis=0), covered.argmax(axis=0), -1)
         numbers, shown = overlaps.objects[visible][mask >= 0], mask[mask >= 0]
         mask_of = dict(zip(numbers.tolist(), shown.tolist(), strict=True))
+        pairs = []
         for a, b in pairs_of(mask_of):
-            self.evidence.add((a, b), together=mask_of[a] == mask_of[b])
+            together = mask_of[a] == mask_of[b]
+            self.evidence.add((a, b), together)
+            if together:
+                pairs.append((a, b))
+        return pairs
 
-    def _merge(self, votes: VoxelVotes, overlaps: Overlaps) -> None:
-        """Merge the visible objects that are one according to the evidence."""
+    def _merge(self, votes: VoxelVotes, pairs: Iterable[tuple[int, int]]) -> None:
+        """Merge those of some pairs of objects that are one according to the evidence."""
         table = None
-        for a, b in pairs_of(overlaps.objects.tolist()):
+        for a, b in pairs:
             a, b = self.current(a), self.current(b)
             if a == b or not self.evidence.are_one(a, b):
                 continue

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from toolkit.geometry import se3
 from toolkit.instances.association import COVERED, Overlaps
@@ -137,6 +138,21 @@ class GaussianVotes:
         first = order[np.unique(gaussian[order], return_index=True)[1]]
         found = self._kept_owner(kept)
         found[gaussian[first]] = number[first]
+        return self._filled(found)
+
+    def _filled(self, found: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Give Gaussians without an object that of the nearest one within a voxel.
+
+        Masks often end before the objects do.
+        """
+        missing, known = np.flatnonzero(found == 0), np.flatnonzero(found)
+        if not len(missing) or not len(known):
+            return found
+        tree = cKDTree(self._means[known])
+        reach = self._votes.voxel_m
+        distances, nearest = tree.query(self._means[missing], distance_upper_bound=reach)
+        near = np.isfinite(distances)
+        found[missing[near]] = found[known[nearest[near]]]
         return found
 
     def _kept_owner(self, kept: NDArray[np.bool_] | None) -> NDArray[np.int32]:

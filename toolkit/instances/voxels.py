@@ -25,7 +25,7 @@ _NOISE_M, _NOISE_PER_M, _NOISE_FROM_M = 0.0012, 0.0019, 0.4
 
 def sampling_step(width: int) -> int:
     """Distance between the sampled pixels of an image of a width."""
-    return max(1, width // SAMPLED_WIDTH)
+    return max(1, round(width / SAMPLED_WIDTH))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class MaskedVoxels:
     Attributes:
         keys: [E] ascending numbers of voxels.
         mask: [E] int32 mask of each voxel, 0 for none.
-        points: [E, 3] a visible point in each voxel, in the frame of the votes.
+        points: [E, 3] centre of each voxel, in the frame of the votes.
         camera: [3] centre of the camera.
         noise: [E] standard deviation of the depth there.
     """
@@ -65,28 +65,39 @@ class MaskedVoxels:
             voxel_m: edge of a voxel.
         """
         step = sampling_step(camera.width)
-        sampled_m = depth_m[::step, ::step].astype(np.float64)
-        known = np.flatnonzero(sampled_m.reshape(-1) > 0)
-        in_camera = camera.unproject(depth_m, step).reshape(-1, 3)[known]
-        points = se3.transform_points(T_votes_camera, in_camera)
-        keys = voxel_keys(voxels_of(points, voxel_m))
+        in_camera = camera.unproject(depth_m, step).reshape(-1, 3)
+        known = in_camera[:, 2] > 0
+        points = se3.transform_points(T_votes_camera, in_camera[known])
         mask = ids.reshape(-1)[known].astype(np.int64)
-        order = np.lexsort((mask, keys))
-        keys, mask = keys[order], mask[order]
-        starts = np.flatnonzero(_changes(keys) | _changes(mask))
-        counts = np.diff(np.append(starts, len(keys)))
-        voxel = np.cumsum(_changes(keys[starts])) - 1
+        if not len(points):
+            none = np.zeros((0, 3))
+            return cls(np.zeros(0, np.int64), np.zeros(0, np.int32), none, np.zeros(3), none[:, 0])
+        voxels = voxels_of(points, voxel_m)
+        # One sort of plain numbers: voxels by x, y and z within their bounding box, and masks.
+        columns = np.ascontiguousarray(voxels.T)
+        low = columns.min(axis=1)
+        _, height, depth = (columns.max(axis=1) - low + 1).tolist()
+        x, y, z = columns - low[:, None]
+        masks = int(mask.max()) + 1
+        cells = np.sort(((x * height + y) * depth + z) * masks + mask)
+        starts = np.flatnonzero(_changes(cells))
+        counts = np.diff(np.append(starts, len(cells)))
+        local, mask = np.divmod(cells[starts], masks)
         # The mask with most pixels of each voxel, the first one if several have as many.
-        largest = np.lexsort((-counts, voxel))
-        chosen = starts[largest[_changes(voxel[largest])]] if len(starts) else starts
-        first = order[chosen]
-        z = in_camera[first, 2]
+        voxel = np.flatnonzero(_changes(local))
+        most = np.repeat(np.maximum.reduceat(counts, voxel), np.diff(np.append(voxel, len(local))))
+        best = np.flatnonzero(counts == most)
+        best = best[_changes(local[best])]
+        local, mask = local[best], mask[best]
+        found = np.stack([local // (height * depth), local // depth % height, local % depth], 1)
+        centres = (found + low + 0.5) * voxel_m
+        z_m = (centres - T_votes_camera[:3, 3]) @ T_votes_camera[:3, 2]
         return cls(
-            keys[chosen],
-            mask[chosen].astype(np.int32),
-            points[first],
+            voxel_keys(found + low),
+            mask.astype(np.int32),
+            centres,
             T_votes_camera[:3, 3],
-            _NOISE_M + _NOISE_PER_M * (z - _NOISE_FROM_M) ** 2,
+            _NOISE_M + _NOISE_PER_M * (z_m - _NOISE_FROM_M) ** 2,
         )
 
     def __len__(self) -> int:
@@ -99,6 +110,13 @@ def _changes(values: NDArray) -> NDArray[np.bool_]:
     changed = np.ones(len(values), bool)
     changed[1:] = values[1:] != values[:-1]
     return changed
+
+
+def _merged(old: NDArray[np.bool_], before: NDArray, added: NDArray) -> NDArray:
+    """Rows `before` where `old` holds, and `added` elsewhere."""
+    merged = np.empty((len(old), *before.shape[1:]), before.dtype)
+    merged[old], merged[~old] = before, added
+    return merged
 
 
 class VoxelVotes:
@@ -129,11 +147,17 @@ class VoxelVotes:
         known = self._known(keys, place)
         self._vote(place[known], objects[known])
         new = ~known
-        where, added = place[new], objects[new]
-        self.keys = np.insert(self.keys, where, keys[new])
-        empty = np.zeros_like(added)
-        self.owners = np.insert(self.owners, where, np.stack([added, empty], axis=1), axis=0)
-        self.votes = np.insert(self.votes, where, [[1, 0]], axis=0)
+        if not new.any():
+            return
+        added = np.zeros((int(new.sum()), 2), np.int32)
+        first = np.zeros_like(added)
+        added[:, 0], first[:, 0] = objects[new], 1
+        rows = place[new] + np.arange(len(added))
+        old = np.ones(len(self) + len(added), bool)
+        old[rows] = False
+        self.keys = _merged(old, self.keys, keys[new])
+        self.owners = _merged(old, self.owners, added)
+        self.votes = _merged(old, self.votes, first)
 
     def _vote(self, rows: NDArray[np.intp], objects: NDArray[np.int32]) -> None:
         owners, votes = self.owners[rows], self.votes[rows]
