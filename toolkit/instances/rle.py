@@ -84,7 +84,7 @@ def _polygons(polygons: Sequence[Sequence[float]], size: tuple[int, int]) -> NDA
         points = np.asarray(polygon, np.float64)
         if points.ndim != 1 or len(points) < 6 or len(points) % 2 or not np.isfinite(points).all():
             raise ValueError("a polygon needs pairs of finite coordinates of three points or more")
-        # COCO's coordinates are those of pixel corners.
-        corners = np.rint(points.reshape(-1, 1, 2) - 0.5)
+        # COCO's coordinates are those of pixel corners; pixels on the border are inside.
+        corners = np.floor(points.reshape(-1, 1, 2))
         cv2.fillPoly(mask, [np.clip(corners, -(2**15), 2**15).astype(np.int32)], 1)
     return mask > 0
