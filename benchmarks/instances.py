@@ -169,7 +169,7 @@ def _true_instances(slam: Slam, fused: FusedMap, truth: TrueMasks) -> NDArray[np
             record = KeyframeMasks.of(keyframe.index, number, numbers, image[::step, ::step])
             pose = submap.T_world_camera(keyframe)
             votes.add(MaskedKeyframe(keyframe, pose, record, numbers))
-        found.append(votes.winners())
+        found.append(votes.winners(fill=False))
     return np.concatenate(found)
 
 

@@ -39,9 +39,21 @@ def test_a_view_without_depth_has_no_voxels():
 
 def test_the_object_with_most_votes_owns_a_voxel():
     votes = votes_of([[(5, 1), (9, 2)], [(5, 2), (9, 2)], [(5, 2)], [(7, 3)]])
-    assert votes.keys.tolist() == [5, 7, 9]
-    assert votes.owners.tolist() == [[2, 1], [3, 0], [2, 0]]
-    assert votes.votes.tolist() == [[2, 1], [1, 0], [2, 0]]
+    assert votes.keys.tolist() == [5, 9, 7]
+    assert votes.owners.tolist() == [[2, 1], [2, 0], [3, 0]]
+    assert votes.votes.tolist() == [[2, 1], [2, 0], [1, 0]]
+
+
+def test_all_voxels_are_found_however_many_there_are():
+    rng = np.random.default_rng(0)
+    keys = rng.permutation(60_000)[:40_000]
+    votes = VoxelVotes(0.04)
+    for part in np.split(keys, 10):
+        votes.add(part, (part % 7 + 1).astype(np.int32))
+    rows = votes.rows(np.arange(60_000))
+    np.testing.assert_array_equal(np.flatnonzero(rows >= 0), np.sort(keys))
+    np.testing.assert_array_equal(votes.keys[rows[keys]], keys)
+    np.testing.assert_array_equal(votes.owners[rows[keys], 0], keys % 7 + 1)
 
 
 @given(st.lists(st.integers(1, 4), min_size=1, max_size=30))

@@ -48,7 +48,7 @@ class Overlaps:
 
     @classmethod
     def of(
-        cls, seen: MaskedVoxels, votes: VoxelVotes, rows: NDArray[np.intp], masks: int
+        cls, seen: MaskedVoxels, votes: VoxelVotes, rows: NDArray[np.int32], masks: int
     ) -> Overlaps:
         """Compare masks with the objects in the voxels `rows` that they cover."""
         known = rows >= 0
@@ -181,7 +181,7 @@ def _match(
 def add_votes(
     votes: VoxelVotes,
     seen: MaskedVoxels,
-    rows: NDArray[np.intp],
+    rows: NDArray[np.int32],
     overlaps: Overlaps,
     objects: NDArray[np.int32],
     settled: Callable[[int], bool],

@@ -118,13 +118,16 @@ class GaussianVotes:
         counts = np.bincount(inverse, np.concatenate(self._counts)).astype(np.int64)
         self._cells, self._counts, self._pending = [cells], [counts], 0
 
-    def winners(self, kept: NDArray[np.bool_] | None = None) -> NDArray[np.int32]:
+    def winners(
+        self, kept: NDArray[np.bool_] | None = None, fill: bool = True
+    ) -> NDArray[np.int32]:
         """The object [N] with most votes of each Gaussian, 0 for none.
 
         Gaussians without votes belong to the object of their voxel.
 
         Args:
             kept: [M + 1] objects to choose from; all by default.
+            fill: give Gaussians without votes the object of the nearest one within a voxel.
         """
         if not self._cells:
             return self._kept_owner(kept)
@@ -138,7 +141,7 @@ class GaussianVotes:
         first = order[np.unique(gaussian[order], return_index=True)[1]]
         found = self._kept_owner(kept)
         found[gaussian[first]] = number[first]
-        return self._filled(found)
+        return self._filled(found) if fill else found
 
     def _filled(self, found: NDArray[np.int32]) -> NDArray[np.int32]:
         """Give Gaussians without an object that of the nearest one within a voxel.

@@ -16,6 +16,8 @@ Keys = NDArray[np.int64]
 
 # Masks are compared on every n-th pixel in each direction, so that about this width remains.
 SAMPLED_WIDTH = 160
+# Number of voxels that are sorted among each other before all are sorted.
+_MAX_NEW = 1 << 14
 # Limit of a voxel's votes for an object, so that later evidence can outvote an error.
 _MAX_VOTES = 8
 # Depth noise of an RGB-D camera in metres: offset, factor of the squared distance, and the
@@ -112,11 +114,64 @@ def _changes(values: NDArray) -> NDArray[np.bool_]:
     return changed
 
 
-def _merged(old: NDArray[np.bool_], before: NDArray, added: NDArray) -> NDArray:
-    """Rows `before` where `old` holds, and `added` elsewhere."""
-    merged = np.empty((len(old), *before.shape[1:]), before.dtype)
-    merged[old], merged[~old] = before, added
-    return merged
+class _VoxelIndex:
+    """Finds the rows of voxels; rows are numbered in the order in which voxels are added.
+
+    New voxels are sorted among the newest ones, and all together once there are many, so that a
+    keyframe does not move all voxels of a large submap.
+    """
+
+    def __init__(self) -> None:
+        none = np.zeros(0, np.int64), np.zeros(0, np.int32)
+        self._old, self._new = none, none
+
+    def find(self, keys: Keys) -> NDArray[np.int32]:
+        """The row [E] of each voxel, -1 where there is none."""
+        rows = np.full(len(keys), -1, np.int32)
+        for known, places in (self._old, self._new):
+            if len(known):
+                place = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+                rows = np.where(known[place] == keys, places[place], rows)
+        return rows
+
+    def append(self, keys: Keys) -> None:
+        """Add voxels that are not known yet."""
+        first = len(self._old[0]) + len(self._new[0])
+        rows = np.arange(first, first + len(keys), dtype=np.int32)
+        self._new = _sorted_by_key(self._new, (keys, rows))
+        if len(self._new[0]) > _MAX_NEW:
+            self._old, self._new = _sorted_by_key(self._old, self._new), _VoxelIndex()._new
+
+
+def _sorted_by_key(
+    one: tuple[Keys, NDArray[np.int32]], other: tuple[Keys, NDArray[np.int32]]
+) -> tuple[Keys, NDArray[np.int32]]:
+    keys = np.concatenate([one[0], other[0]])
+    order = np.argsort(keys, kind="stable")
+    return keys[order], np.concatenate([one[1], other[1]])[order]
+
+
+class _Rows:
+    """An array that grows by rows, with room for more, so that appending rarely copies."""
+
+    def __init__(self, columns: tuple[int, ...], dtype: type) -> None:
+        self._room: NDArray = np.zeros((0, *columns), dtype)
+        self._count = 0
+
+    @property
+    def rows(self) -> NDArray:
+        """All rows, which can be written to."""
+        return self._room[: self._count]
+
+    def append(self, added: NDArray) -> None:
+        """Add rows at the end."""
+        count = self._count + len(added)
+        if count > len(self._room):
+            room = np.zeros((max(count, 2 * len(self._room)), *self._room.shape[1:]), added.dtype)
+            room[: self._count] = self.rows
+            self._room = room
+        self._room[self._count : count] = added
+        self._count = count
 
 
 class VoxelVotes:
@@ -126,40 +181,49 @@ class VoxelVotes:
     the second one. Memory therefore does not depend on the number of objects and keyframes.
 
     Attributes:
-        keys: [V] ascending numbers of voxels.
-        owners: [V, 2] int32 objects, 0 for none; the first has most votes.
-        votes: [V, 2] int32 their votes.
+        voxel_m: edge of a voxel.
     """
 
     def __init__(self, voxel_m: float) -> None:
         self.voxel_m = voxel_m
-        self.keys: Keys = np.zeros(0, np.int64)
-        self.owners = np.zeros((0, 2), np.int32)
-        self.votes = np.zeros((0, 2), np.int32)
+        self._index = _VoxelIndex()
+        self._keys, self._owners = _Rows((), np.int64), _Rows((2,), np.int32)
+        self._votes = _Rows((2,), np.int32)
 
     def __len__(self) -> int:
         """Number of voxels."""
         return len(self.keys)
 
-    def add(self, keys: Keys, objects: NDArray[np.int32]) -> None:
-        """Add a vote for an object above 0 to each of some ascending voxels [E]."""
-        place = np.searchsorted(self.keys, keys)
-        known = self._known(keys, place)
-        self._vote(place[known], objects[known])
-        new = ~known
-        if not new.any():
-            return
-        added = np.zeros((int(new.sum()), 2), np.int32)
-        first = np.zeros_like(added)
-        added[:, 0], first[:, 0] = objects[new], 1
-        rows = place[new] + np.arange(len(added))
-        old = np.ones(len(self) + len(added), bool)
-        old[rows] = False
-        self.keys = _merged(old, self.keys, keys[new])
-        self.owners = _merged(old, self.owners, added)
-        self.votes = _merged(old, self.votes, first)
+    @property
+    def keys(self) -> Keys:
+        """Numbers [V] of the voxels, in the order in which they were added."""
+        return self._keys.rows
 
-    def _vote(self, rows: NDArray[np.intp], objects: NDArray[np.int32]) -> None:
+    @property
+    def owners(self) -> NDArray[np.int32]:
+        """The objects [V, 2] of the voxels, 0 for none; the first has most votes."""
+        return self._owners.rows
+
+    @property
+    def votes(self) -> NDArray[np.int32]:
+        """The votes [V, 2] for them."""
+        return self._votes.rows
+
+    def add(self, keys: Keys, objects: NDArray[np.int32]) -> None:
+        """Add a vote for an object above 0 to each of some different voxels [E]."""
+        rows = self.rows(keys)
+        known = rows >= 0
+        self._vote(rows[known], objects[known])
+        self._append(keys[~known], objects[~known])
+
+    def _append(self, keys: Keys, objects: NDArray[np.int32]) -> None:
+        self._index.append(keys)
+        self._keys.append(keys)
+        none = np.zeros_like(objects)
+        self._owners.append(np.stack([objects, none], axis=1))
+        self._votes.append(np.stack([none + 1, none], axis=1))
+
+    def _vote(self, rows: NDArray[np.int32], objects: NDArray[np.int32]) -> None:
         owners, votes = self.owners[rows], self.votes[rows]
         first, second = owners[:, 0] == objects, owners[:, 1] == objects
         free = ~first & ~second & (votes[:, 1] <= 1)
@@ -174,17 +238,11 @@ class VoxelVotes:
         votes[full] -= (votes[full] > 0).astype(np.int32)
         self.owners[rows], self.votes[rows] = owners, votes
 
-    def _known(self, keys: Keys, place: NDArray[np.intp]) -> NDArray[np.bool_]:
-        if not len(self.keys):
-            return np.zeros(len(keys), bool)
-        return np.asarray(self.keys[np.minimum(place, len(self.keys) - 1)] == keys)
-
-    def rows(self, keys: Keys) -> NDArray[np.intp]:
+    def rows(self, keys: Keys) -> NDArray[np.int32]:
         """The row [E] of each voxel, -1 where there is none."""
-        place = np.searchsorted(self.keys, keys)
-        return np.where(self._known(keys, place), place, -1)
+        return self._index.find(keys)
 
-    def rows_of(self, seen: MaskedVoxels) -> NDArray[np.intp]:
+    def rows_of(self, seen: MaskedVoxels) -> NDArray[np.int32]:
         """The row [E] of each visible voxel, or of the next one along the ray within the noise."""
         rows = self.rows(seen.keys)
         rays = seen.points - seen.camera
@@ -209,7 +267,7 @@ class VoxelVotes:
         first_gone = gone[:, 0] & ~gone[:, 1]
         owners[first_gone] = owners[first_gone, ::-1]
         self.votes[first_gone] = self.votes[first_gone, ::-1]
-        self.owners = owners
+        self.owners[:] = owners
 
     def owner_at(self, points: Array) -> NDArray[np.int32]:
         """The object [N] with most votes in the voxels of points [N, 3], 0 for none."""
@@ -222,6 +280,8 @@ class VoxelVotes:
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
         """Restore an earlier `state`."""
-        self.keys = np.array(arrays["keys"])
-        self.owners = np.array(arrays["owners"])
-        self.votes = np.array(arrays["votes"])
+        keys, owners = np.asarray(arrays["keys"]), np.asarray(arrays["owners"])
+        restored = VoxelVotes(self.voxel_m)
+        restored._append(keys, owners[:, 0])
+        restored.owners[:], restored.votes[:] = owners, arrays["votes"]
+        self.__dict__.update(restored.__dict__)
