@@ -199,8 +199,8 @@ class LabelledMap:
             return
         confident = self.labels.confidence >= options.min_confidence
         order = np.argsort(instances, kind="stable")
-        starts = np.flatnonzero(np.diff(instances[order], prepend=-1))
-        for index in np.split(order, starts[1:]):
+        starts = np.flatnonzero(np.diff(instances[order]))
+        for index in np.split(order, starts + 1):
             index = index[confident[index]]
             if not len(index) or instances[index[0]] <= 0:
                 continue
