@@ -257,6 +257,6 @@ def instance_colours(count: int) -> Colours:
     numbers = np.arange(count)
     hue = 2.0 * np.pi * np.mod(numbers * _GOLDEN, 1.0)
     lightness = np.array([0.72, 0.52, 0.86, 0.62, 0.79])[numbers % 5]
-    chroma = np.array([0.14, 0.11, 0.08, 0.13, 0.1])[numbers % 5]
+    chroma = np.array([0.14, 0.12, 0.1, 0.13, 0.12])[numbers % 5]
     lab = np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], axis=1)
     return np.concatenate([np.array([VOID_COLOUR], np.uint8), _srgb(lab)[0]])
