@@ -228,4 +228,4 @@ def test_objects_with_similar_numbers_have_different_colours():
     for number in range(1, 61):
         near = colours[max(1, number - 12) : number]
         if len(near):
-            assert np.abs(near - colours[number]).max(axis=1).min() > 20
+            assert np.abs(near - colours[number]).max(axis=1).min() > 40
