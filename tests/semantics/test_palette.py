@@ -226,6 +226,6 @@ def test_objects_with_similar_numbers_have_different_colours():
     assert colours.shape == (61, 3)
     assert not colours[0].any()
     for number in range(1, 61):
-        near = colours[max(1, number - 12) : number]
+        near = colours[max(1, number - 40) : number]
         if len(near):
-            assert np.abs(near - colours[number]).max(axis=1).min() > 40
+            assert np.abs(near - colours[number]).max(axis=1).min() >= 25
