@@ -33,8 +33,8 @@ _HUE_LENGTH = 0.26
 _FIRST_HUE_RAD = -0.3  # between magenta and red: two groups get warm and cool colours
 _GAP = 0.2  # fraction of the smaller side that remains unused at a split
 # Fraction of the circle of hues between objects with successive numbers, and their lightness and
-# chroma in turn. Colours of objects whose numbers differ by up to 40 then differ by 25 in a channel,
-# which other steps do not reach.
+# chroma in turn. Colours of objects whose numbers differ by up to 40 then differ by 25 or more in a
+# channel, which other steps do not reach.
 _HUE_STEP = 0.8455
 _INSTANCE_LIGHTNESS = (0.72, 0.52, 0.86, 0.62, 0.79)
 _INSTANCE_CHROMA = (0.14, 0.12, 0.1, 0.13, 0.12)
