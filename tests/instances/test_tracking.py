@@ -74,6 +74,16 @@ def test_a_missing_frame_changes_nothing():
     assert [one.views for one in tracker.objects.values()] == [2, 2]
 
 
+def test_a_view_without_depth_changes_nothing():
+    tracker = InstanceTracker(InstanceOptions(), Scripted([panel_image()] * 3))
+    views = [keyframe(index) for index in range(3)]
+    views[0].depth_m *= 0.0
+    views[2].depth_m *= 0.0
+    for count in range(1, 4):
+        tracker.update(0, views[:count])
+    assert [one.views for one in tracker.objects.values()] == [1, 1]
+
+
 def masks(image: np.ndarray, classes: list, embeddings: np.ndarray) -> InstanceMasks:
     return InstanceMasks(
         image.astype(np.int32), classes, np.ones(2, np.float32), embeddings.astype(np.float32)

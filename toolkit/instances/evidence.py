@@ -44,10 +44,6 @@ class PairEvidence:
         together, apart = self.counts(a, b)
         return apart >= MIN_APART and apart > together
 
-    def merged(self) -> list[Pair]:
-        """Pairs of objects that are one, in ascending order."""
-        return [pair for pair in sorted(self._counts) if self.are_one(*pair)]
-
     def replace(self, old: int, new: int) -> None:
         """Assign the evidence of an object to another one."""
         for pair in [p for p in self._counts if old in p]:
