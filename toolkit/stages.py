@@ -19,6 +19,7 @@ class Stage(StrEnum):
     TRACKING = "tracking"
     RELOCALISATION = "relocalisation"
     LABELLING = "labelling"
+    INSTANCES = "instances"
     DEPTH_PRIOR = "depth prior"
     PLACING = "placing"
     MAPPING = "mapping"
@@ -31,6 +32,7 @@ class Stage(StrEnum):
     DEPTH_FUSION = "depth fusion"
     FREE_SPACE = "free space"
     HOLE_FILLING = "hole filling"
+    INSTANCE_VOTES = "instance votes"
     # Details of tracking and mapping.
     TRACKING_RENDER = "tracking render"
     TRACKING_ALIGN = "tracking align"
@@ -64,7 +66,7 @@ COLUMNS: dict[Column, tuple[Stage, ...]] = {
         Stage.TRACKING,
         Stage.RELOCALISATION,
     ),
-    Column.LABELLING: (Stage.LABELLING,),
+    Column.LABELLING: (Stage.LABELLING, Stage.INSTANCES),
     Column.MAPPING: (Stage.DEPTH_PRIOR, Stage.PLACING, Stage.MAPPING),
     Column.LOOPS: (Stage.LOOP_DETECTION, Stage.LOOPS_WITHIN, Stage.LOOPS_BETWEEN),
 }

@@ -13,7 +13,7 @@ from room_runs import RoomRuns, make_room_runs
 from toolkit.datasets.options import DatasetOptions
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.runs.folder import RunFolder
+from toolkit.runs.folder import MapPart, RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
@@ -42,7 +42,7 @@ def run(tmp_path, gaussians, recording) -> Path:
     kept = range(9)
     times = np.array([i / 30.0 for i in kept])
     folder.write_trajectory(Trajectory(times, poses(10, seed=1)[:9]))
-    folder.write_map([(gaussians, None, None)])
+    folder.write_map([MapPart(gaussians)])
     folder.write_json(folder.frames, frames_content(9, [0, 5], held_out=[4], lost=[9]))
     metrics = {
         "time": {"tracking_ms_per_frame": 12.5},

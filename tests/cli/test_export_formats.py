@@ -24,7 +24,7 @@ from toolkit.io.colmap import read_images
 from toolkit.io.images import read_rgb
 from toolkit.io.splats import read_splats, write_splat_ply
 from toolkit.io.trajectories import read_tum
-from toolkit.runs.folder import RunFolder
+from toolkit.runs.folder import MapPart, RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.colour_names import COLOUR_NAMES
 from toolkit.viewer.options import ShownContent
@@ -54,7 +54,7 @@ def dots_run(tmp_path_factory) -> Path:
     folder = RunFolder.create(tmp_path_factory.mktemp("dots") / "run", dump_settings(settings))
     T_map_camera = poses(2, seed=3)
     folder.write_trajectory(Trajectory(np.arange(2) / 30.0, T_map_camera))
-    folder.write_map([(gaussians, None, None)])
+    folder.write_map([MapPart(gaussians)])
     folder.write_json(folder.frames, frames_content(2, [0]))
     return folder.path
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -35,6 +37,16 @@ def test_labels_follow_the_order_of_the_file(tmp_path, cloud, labels, suffix):
     for name in ("label", "levels", "confidence"):
         np.testing.assert_array_equal(getattr(read.labels, name), getattr(labels, name)[order])
     assert read.taxonomy == TAXONOMY
+
+
+def test_objects_follow_the_order_of_the_file(tmp_path, cloud, labels):
+    numbers = np.arange(len(cloud), dtype=np.int32)
+    path = tmp_path / "map.sog"
+    export_splats(path, cloud, replace(labels, instances=numbers).columns(), taxonomy=TAXONOMY)
+    read = read_splats(path)
+    distances = np.linalg.norm(read.means[:, None] - cloud.means.numpy(), axis=2)
+    assert read.labels is not None
+    np.testing.assert_array_equal(read.labels.instances, distances.argmin(axis=1))
 
 
 def test_the_file_contains_names_and_is_reproducible(tmp_path, cloud, labels):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from toolkit.errors import FormatError
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.splat_labels import SplatLabels, instances_in
 from toolkit.io.splats import read_splats, write_splat_ply
 
 N = 40
@@ -33,6 +35,25 @@ def labels() -> SplatLabels:
         levels=generator.integers(-1, 700, (N, 12)).astype(np.int32),
         confidence=generator.uniform(0, 1, N).astype(np.float32),
     )
+
+
+def test_objects_are_stored_beside_labels(tmp_path, cloud, labels):
+    assert labels.instances is None
+    assert "instance" not in labels.columns()
+    numbered = replace(labels, instances=np.arange(N, dtype=np.int32))
+    write_splat_ply(tmp_path / "map.ply", cloud, numbered.columns())
+    read = read_splats(tmp_path / "map.ply").labels
+    assert read is not None
+    np.testing.assert_array_equal(read.select(np.array([3, 1])).instances, [3, 1])
+
+
+def test_a_column_of_another_tool_is_no_object():
+    assert instances_in({"instance": np.linspace(0.0, 1.0, N)}) is None
+
+
+def test_as_many_objects_as_splats(labels):
+    with pytest.raises(ValueError, match="instances must have shape"):
+        replace(labels, instances=np.zeros(N + 1, np.int32))
 
 
 def test_labels_round_trip_is_exact(tmp_path, cloud, labels):

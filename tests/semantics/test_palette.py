@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.io.visualisation import LegendEntry, legend_below, with_legend
 from toolkit.semantics import palette as palette_module
-from toolkit.semantics.palette import _CONES_FROM_RGB, _LAB_FROM_CONES, Palette
+from toolkit.semantics.palette import _CONES_FROM_RGB, _LAB_FROM_CONES, Palette, instance_colours
 from toolkit.semantics.taxonomy import Taxonomy
 
 
@@ -219,3 +219,13 @@ def test_a_level_strip_shows_every_level_under_its_name():
     for i in range(4):
         colour = palette.nodes[ROOM.node_ids[0, i]]
         assert (page == colour).all(axis=2).sum() >= 48 * 64
+
+
+def test_objects_with_similar_numbers_have_different_colours():
+    colours = instance_colours(60).astype(int)
+    assert colours.shape == (61, 3)
+    assert not colours[0].any()
+    for number in range(1, 61):
+        near = colours[max(1, number - 40) : number]
+        if len(near):
+            assert np.abs(near - colours[number]).max(axis=1).min() >= 25

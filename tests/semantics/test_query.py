@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -281,3 +282,48 @@ def test_pieces_that_lie_apart_are_separated(seed, count):
 def test_nothing_has_no_pieces():
     assert connected(np.empty((0, 3)), 0.05) == []
     assert connected(np.zeros((1, 3)), 0.05) == []
+
+
+def touching_chairs(instances: list[int] | None) -> LabelledMap:
+    """A floor and two chairs that touch; with the instances of floor, first and second chair."""
+    parts = [chair(1.0, 1.0), chair(1.0 + CHAIR_SIZE_M[0], 1.0)]
+    means_m, labels = labelled({"floor": sheet((0, 0, 0), (3, 0, 0), (0, 3, 0))})
+    for part in parts:
+        points_m, more = labelled({"chair": part})
+        means_m = np.concatenate([means_m, points_m])
+        columns = (
+            np.concatenate([getattr(labels, name), getattr(more, name)])
+            for name in ("label", "levels", "confidence")
+        )
+        labels = SplatLabels(*columns)
+    if instances is not None:
+        counts = [len(means_m) - sum(map(len, parts)), *map(len, parts)]
+        labels = replace(labels, instances=np.repeat(instances, counts).astype(np.int32))
+    return LabelledMap(means_m, labels, TAXONOMY)
+
+
+@pytest.mark.parametrize(
+    ("instances", "chairs"),
+    [(None, [0]), ([3, 1, 2], [1, 2]), ([0, 1, 1], [1]), ([3, 0, 2], [2, 0])],
+)
+def test_chairs_that_touch_are_apart_where_the_map_has_instances(instances, chairs):
+    map_ = touching_chairs(instances)
+    found = map_.objects(TAXONOMY.find("chair"), None, ObjectOptions())
+    assert sorted(one.instance for one in found) == sorted(chairs)
+    assert sum(map(len, found)) == 2 * len(chair(0, 0))
+
+
+def test_an_instance_has_the_class_of_most_of_its_gaussians():
+    map_ = touching_chairs([1, 1, 1])
+    assert [one.node.name for one in map_.objects(None, None, ObjectOptions())] == ["floor"]
+    assert map_.objects(TAXONOMY.find("chair"), None, ObjectOptions()) == []
+
+
+def test_unsure_gaussians_do_not_belong_to_an_object():
+    map_ = touching_chairs([3, 1, 2])
+    confidence = map_.labels.confidence.copy()
+    second = map_.labels.instances == 2
+    confidence[second] = 0.2
+    unsure = replace(map_, labels=replace(map_.labels, confidence=confidence))
+    options = ObjectOptions(min_confidence=0.5)
+    assert [one.instance for one in unsure.objects(TAXONOMY.find("chair"), None, options)] == [1]

@@ -14,7 +14,7 @@ from toolkit.errors import RunFolderError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.runs.folder import RunFolder
+from toolkit.runs.folder import MapPart, RunFolder
 
 CONFIG = "seed: 0\nmapping:\n  iterations: 12\n"
 
@@ -166,7 +166,7 @@ def test_trajectory_and_map_come_back(folder):
         torch.full((9,), 0.7),
         torch.rand(9, 3, generator=generator),
     )
-    folder.write_map([(cloud, None, None)])
+    folder.write_map([MapPart(cloud)])
     found = folder.read_map()
     for name in ("means", "log_radii", "opacity_logits", "colours"):
         assert torch.allclose(getattr(found, name), getattr(cloud, name), atol=1e-5), name

@@ -49,10 +49,9 @@ def _splats(options: ExportOptions, selection: SelectedGaussians) -> str:
         # The transformation of the scene contains the origin.
         export_scene_splats(options.to, selection, [*_origin(selection), *notes], options.floor)
     else:
-        columns = None if selection.labels is None else selection.labels.columns()
         comments = [*_left_origin(options, selection), *notes]
         version, tree = options.spz_version, selection.class_tree
-        export_splats(options.to, selection.gaussians, columns, comments, version, tree)
+        export_splats(options.to, selection.gaussians, selection.columns, comments, version, tree)
     return f"{len(selection.gaussians)} Gaussians"
 
 

@@ -37,6 +37,7 @@ ImageSize = tuple[PositiveInt, PositiveInt]
 ColourValue = Annotated[int, Range(ge=0, le=255)]
 
 # Images of `semsplat render` that need a map with semantics.
+RenderedImage = Literal["colour", "depth", "silhouette", "strip", "labels", "levels", "instances"]
 SEMANTIC_IMAGES = frozenset(("labels", "levels"))
 
 
@@ -95,13 +96,10 @@ class RenderProgram:
     pitch (up) in degrees, relative to the run's first camera or the axes of a splat file."""
     every: PositiveInt = 1
     """Interval of the poses that are rendered: every n-th one."""
-    what: tuple[Literal["colour", "depth", "silhouette", "strip", "labels", "levels"], ...] = (
-        "colour",
-        "depth",
-        "silhouette",
-    )
+    what: tuple[RenderedImage, ...] = ("colour", "depth", "silhouette")
     """Images of each view. A strip shows colour, depth and silhouette beside the input; labels are
-    one image per level of the class tree with a legend; levels show all levels side by side."""
+    one image per level of the class tree with a legend; levels show all levels side by side;
+    instances have a colour for each object."""
     camera: tuple[float, float, float, float] | None = None
     """Camera intrinsics fx fy cx cy, in pixels. By default, those of the run."""
     image_size: ImageSize | None = None

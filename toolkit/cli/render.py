@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from toolkit.cli.instance_images import InstanceColours
 from toolkit.cli.programs import SEMANTIC_IMAGES, RenderProgram
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.resize import ImageGrid
@@ -61,12 +62,14 @@ class _Map:
 
     Attributes:
         labels: whether labels are rendered.
+        instances: the map in the colours of its objects, None unless they are rendered.
     """
 
     gaussians: GaussianCloud
     run: FinishedRun | None
     backend_name: str
     labels: bool = False
+    instances: InstanceColours | None = None
 
     @property
     def names(self) -> LengthNames:
@@ -125,8 +128,11 @@ def main(options: RenderProgram) -> int:
         images: dict[str, RgbImage] = {
             kind: _image_of(kind, rendered, span, observed, map_.names)
             for kind in options.what
-            if kind not in SEMANTIC_IMAGES
+            if kind not in SEMANTIC_IMAGES and kind != "instances"
         }
+        if map_.instances is not None:
+            shown = map_.instances.image(camera, view.T_map_camera, map_.backend_name)
+            images["instances"] = with_legend(*shown)
         if palette is not None:
             images |= _label_images(options.what, palette, rendered)
         for name, image in images.items():
@@ -150,7 +156,9 @@ def _write_video(
     def images() -> Iterator[RgbImage]:
         for view in tqdm(views, unit="view", disable=None):
             rendered = _render(map_, camera, view)
-            if palette is None or rendered.nodes is None:
+            if kind == "instances" and map_.instances is not None:
+                yield map_.instances.image(camera, view.T_map_camera, map_.backend_name)[0]
+            elif palette is None or rendered.nodes is None:
                 yield _image_of(kind, rendered, span, None, map_.names)
             elif kind == "labels":
                 yield palette.class_image(rendered.nodes[-1])
@@ -181,7 +189,8 @@ def _knots(options: RenderProgram, map_: _Map, camera: Camera) -> NDArray[np.flo
 def _load(options: RenderProgram) -> _Map:
     path, labels = options.map, bool(SEMANTIC_IMAGES & set(options.what))
     if is_splat_file(path):
-        return _Map(read_cloud(path), None, "auto")
+        cloud = read_cloud(path)
+        return _Map(cloud, None, "auto", instances=_instances(options, cloud, path, None))
     if not path.exists():
         raise DatasetError(
             f"{path} does not exist; give a run folder or a {', '.join(SUFFIXES)} file"
@@ -191,7 +200,18 @@ def _load(options: RenderProgram) -> _Map:
         raise SettingsError(
             f"{path} was mapped without semantics; run SLAM again with --semantics.code.kind"
         )
-    return _Map(run.gaussians, run, run.settings.backend, labels)
+    folder = run.folder
+    instances = _instances(options, run.gaussians, folder.map, folder.objects)
+    return _Map(run.gaussians, run, run.settings.backend, labels, instances)
+
+
+def _instances(
+    options: RenderProgram, gaussians: GaussianCloud, map_: Path, objects: Path | None
+) -> InstanceColours | None:
+    """The map in the colours of its objects, None unless they are rendered."""
+    if "instances" not in options.what:
+        return None
+    return InstanceColours.load(gaussians, map_, objects)
 
 
 def _palette(map_: _Map) -> Palette | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import RunFolderError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.splat_labels import INSTANCE, SplatLabels, instances_in
 from toolkit.io.splats import read_splats
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.labelled import load_labelled_run
@@ -40,6 +40,7 @@ class SelectedGaussians:
         labels: their labels, or None.
         partial: whether Gaussians were excluded.
         submap: [N] number of the submap of each Gaussian, or None.
+        instances: [N] object of each Gaussian, 0 for none; None without instances.
     """
 
     run: FinishedRun
@@ -47,6 +48,13 @@ class SelectedGaussians:
     labels: SplatLabels | None
     partial: bool = False
     submap: NDArray[np.int32] | None = None
+    instances: NDArray[np.int32] | None = None
+
+    @property
+    def columns(self) -> dict[str, NDArray]:
+        """Labels and objects as additional columns of a file."""
+        columns = {} if self.labels is None else self.labels.columns()
+        return columns if self.instances is None else columns | {INSTANCE: self.instances}
 
     @property
     def means_m(self) -> NDArray[np.float64]:
@@ -77,9 +85,12 @@ class SelectedGaussians:
                 f"{MIN_OPACITY}"
             )
         labels = None if self.labels is None else self.labels.select(mask.numpy())
-        submap = None if self.submap is None else self.submap[mask.numpy()]
+        submap, instances = (
+            None if column is None else column[mask.numpy()]
+            for column in (self.submap, self.instances)
+        )
         return SelectedGaussians(
-            self.run, self.gaussians.select(mask), labels, self.partial, submap
+            self.run, self.gaussians.select(mask), labels, self.partial, submap, instances
         )
 
     def labelled(self) -> LabelledMap:
@@ -134,8 +145,13 @@ def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> Sel
     if not keep and not drop:
         finished = load_run(run)
         splats = read_splats(finished.folder.map)
-        submap = splats.extra.get("submap")
-        return SelectedGaussians(finished, finished.gaussians, splats.labels, submap=submap)
+        return SelectedGaussians(
+            finished,
+            finished.gaussians,
+            splats.labels,
+            submap=splats.extra.get("submap"),
+            instances=instances_in(splats.extra),
+        )
     labelled = load_labelled_run(run)
     mask = labelled.select(keep) if keep else np.ones(len(labelled.map), bool)
     mask &= ~labelled.map.selected(drop)
@@ -144,9 +160,8 @@ def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> Sel
     gaussians = labelled.run.gaussians.select(torch.from_numpy(mask))
     submap = read_splats(labelled.run.folder.map).extra.get("submap")
     submap = None if submap is None else submap[mask]
-    return SelectedGaussians(
-        labelled.run, gaussians, labelled.map.labels.select(mask), True, submap
-    )
+    labels = labelled.map.labels.select(mask)
+    return SelectedGaussians(labelled.run, gaussians, labels, True, submap, labels.instances)
 
 
 def ground_of(run: FinishedRun, names: Sequence[str] = ()) -> Ground | None:

@@ -72,8 +72,7 @@ def export_scene_splats(
         comments=tuple(comments),
         classes=selection.classes,
     )
-    columns = None if selection.labels is None else selection.labels.columns()
-    export_splat_scene(path, selection.gaussians, columns, scene)
+    export_splat_scene(path, selection.gaussians, selection.columns, scene)
 
 
 def _T_scene_map(selection: SelectedGaussians, floor: Sequence[str]) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ The file is an archive of NumPy arrays. Row i belongs to splat i of the splat fi
 - `label` [N] int32, class ids, 0 for void; `class_names` [C] are the names by id
 - `levels` [N, L] int32, nodes of the class tree at each level; -1 is void or uncertain
 - `confidence` [N] float32 in [0, 1]
+- `instances` [N] int32, the object of each splat, 0 for none; only in maps with instances
 - `taxonomy`, the class tree as JSON text
 - `splats_sha256`, the digest of the splat file
 """
@@ -79,6 +80,8 @@ def write_label_file(
         "confidence": labels.confidence,
         "splats_sha256": np.array(_digest(splat_file)),
     }
+    if labels.instances is not None:
+        arrays["instances"] = labels.instances
     if taxonomy is not None:
         arrays["class_names"] = np.array([_VOID, *taxonomy["classes"]])
         arrays["taxonomy"] = np.array(json.dumps(taxonomy, ensure_ascii=False))
@@ -103,6 +106,7 @@ def read_label_file(splat_file: Path, count: int) -> LabelFile | None:
                 arrays["label"].astype(np.int32),
                 arrays["levels"].astype(np.int32),
                 arrays["confidence"].astype(np.float32),
+                arrays["instances"].astype(np.int32) if "instances" in arrays else None,
             )
             taxonomy = json.loads(str(arrays["taxonomy"])) if "taxonomy" in arrays else None
             digest = str(arrays["splats_sha256"])

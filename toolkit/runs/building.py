@@ -11,6 +11,7 @@ from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.features.factory import build_differentiable_describer
 from toolkit.features.sources import ViewDescriber
+from toolkit.instances.factory import build_instances
 from toolkit.loops.closing.factory import ClosingContext
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
@@ -80,7 +81,11 @@ def build_slam(
     )
     submaps = folder.submaps if folder else None
     atlas = build_atlas(settings.submaps, mapper.first_submap(), labeller, submaps)
-    slam = Slam(front_end, mapper, atlas, FrameSources(labeller, settings.denoise), recorder)
+    sources = FrameSources(labeller, settings.denoise)
+    names = None if taxonomy is None else dict(enumerate(taxonomy.classes, start=1))
+    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
+    instances = build_instances(settings.instances, names, stems)
+    slam = Slam(front_end, mapper, atlas, sources, recorder, instances)
     return slam
 
 

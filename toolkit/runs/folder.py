@@ -33,7 +33,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.covariances import write_covariances
-from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.io.splat_parts import write_splat_parts
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum, write_tum
@@ -73,6 +73,7 @@ class RunFolder:
         self.frames = path / "frames.json"
         self.renders = path / "renders"
         self.taxonomy = path / "taxonomy.yaml"
+        self.objects = path / "objects.json"
         self.semantics = path / "semantics"
         self.submaps = path / "submaps"
         self.metrics = path / "metrics.json"
@@ -275,15 +276,9 @@ class RunFolder:
                 "started with another one; set semantics.taxonomy to that file, or start a new run"
             )
 
-    def write_map(
-        self, parts: Iterable[tuple[GaussianCloud, SplatLabels | None, int | None]]
-    ) -> None:
-        """Write `map.ply`, a standard 3DGS file, with labels if the map has semantics.
-
-        Args:
-            parts: Gaussians, their labels, and the number of their submap.
-        """
-        write_splat_parts(self.map, (_with_columns(*part) for part in parts))
+    def write_map(self, parts: Iterable[MapPart]) -> None:
+        """Write `map.ply`, a standard 3DGS file, with the labels and objects that the map has."""
+        write_splat_parts(self.map, ((part.gaussians, part.columns()) for part in parts))
 
     def read_map(self) -> GaussianCloud:
         """Read the Gaussians of `map.ply`, with their features if the map has semantics."""
@@ -350,13 +345,28 @@ class RunFolder:
         write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
-def _with_columns(
-    gaussians: GaussianCloud, labels: SplatLabels | None, submap: int | None
-) -> tuple[GaussianCloud, dict[str, NDArray]]:
-    columns = {} if labels is None else labels.columns()
-    if submap is not None:
-        columns["submap"] = np.full(len(gaussians), submap, np.int32)
-    return gaussians, columns
+@dataclass(frozen=True)
+class MapPart:
+    """Gaussians of a map that are written together.
+
+    Attributes:
+        gaussians: N Gaussians.
+        labels: their labels; None for a map without semantics.
+        submap: number of their submap; None for a map without submaps.
+        instances: [N] int32, their objects; None for a map without instances.
+    """
+
+    gaussians: GaussianCloud
+    labels: SplatLabels | None = None
+    submap: int | None = None
+    instances: NDArray[np.int32] | None = None
+
+    def columns(self) -> dict[str, NDArray]:
+        """The additional columns of the map's file."""
+        columns = {} if self.labels is None else self.labels.columns()
+        if self.submap is not None:
+            columns["submap"] = np.full(len(self.gaussians), self.submap, np.int32)
+        return columns if self.instances is None else columns | {INSTANCE: self.instances}
 
 
 def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:

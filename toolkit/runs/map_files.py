@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.errors import FormatError
 from toolkit.gaussians.scene import GaussianScene, InMemoryScene
+from toolkit.instances.result import InstanceMap
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.refinement.fusion import FusedMap
+from toolkit.runs.folder import MapPart
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.decoding import Decoding
+from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.result import SlamResult
 
 
@@ -18,8 +22,8 @@ def labelled_parts(
     fused: FusedMap | InMemoryScene,
     result: SlamResult,
     settings: RunSettings,
-) -> Iterator[tuple[GaussianCloud, SplatLabels | None, int | None]]:
-    """Yield the Gaussians of a map by submap, with labels and number, as far as they have them.
+) -> Iterator[MapPart]:
+    """Yield the Gaussians of a map by submap, with what is known of them.
 
     Args:
         scene: the map as stored, with rounded features.
@@ -31,10 +35,32 @@ def labelled_parts(
         if result.taxonomy is not None:
             decoding = result.semantics.decode_gaussians(part.features)
             labels = splat_labels(decoding, settings.semantics.min_confidence)
-        yield part, labels, number
+        instances = None
+        if result.instances is not None and number is not None:
+            instances = result.instances.ids.get(number)
+        yield MapPart(part, labels, number, instances)
 
 
 def splat_labels(decoding: Decoding, min_confidence: float) -> SplatLabels:
     """Return the label columns of a map's file; levels below the confidence are void."""
     levels = decoding.backed_off(min_confidence)
     return SplatLabels(decoding.class_ids, levels, decoding.confidence)
+
+
+def object_values(instances: InstanceMap, taxonomy: Taxonomy | None) -> dict[str, Any]:
+    """Return the JSON values of the objects of a map, with the path of their class in the tree."""
+    return {
+        "objects": [
+            one.values() | {"path": _class_path(one.class_name, taxonomy)}
+            for one in instances.objects
+        ]
+    }
+
+
+def _class_path(name: str | None, taxonomy: Taxonomy | None) -> list[str]:
+    if name is None:
+        return []
+    try:
+        return [name] if taxonomy is None else list(taxonomy.find(name).path)
+    except FormatError:
+        return [name]  # a class of the masks that the taxonomy of the labels lacks

@@ -13,6 +13,7 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.depth_priors.options import DepthPriorOptions
 from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
+from toolkit.instances.options import InstanceOptions
 from toolkit.io.user_files import read_text
 from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.loops.registration.options import RegistrationOptions
@@ -79,6 +80,7 @@ class RunSettings:
     mapping: MapperOptions = MapperOptions()
     segmenter: SegmenterOptions = SegmenterOptions()
     semantics: SemanticsOptions = SemanticsOptions()
+    instances: InstanceOptions = InstanceOptions()
     submaps: SubmapOptions = SubmapOptions()
     loops: LoopClosureOptions = LoopClosureOptions()
     registration: RegistrationOptions = RegistrationOptions()

@@ -6,7 +6,7 @@ group of a Gaussian can be known while its class is not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,12 +55,14 @@ class SceneObject:
         index: [n] indices of its Gaussians.
         confidence: mean confidence of its Gaussians, in [0, 1].
         box: bounding box of their centres.
+        instance: its number in a map with instances, 0 if it was found by connection.
     """
 
     node: Node
     index: NDArray[np.intp]
     confidence: float
     box: OrientedBox
+    instance: int = 0
 
     def __len__(self) -> int:
         """Number of Gaussians."""
@@ -70,6 +72,9 @@ class SceneObject:
 @dataclass(frozen=True)
 class LabelledMap:
     """Gaussians with labels.
+
+    Objects are the instances of the labels. Gaussians without an instance, and maps without
+    instances, form objects by connection.
 
     Attributes:
         means_m: [N, 3] float64, centres in the map frame, in metres.
@@ -172,14 +177,46 @@ class LabelledMap:
             options: options of the extraction of objects.
         """
         kinds = np.where(self.members(node, options.min_confidence), self._finest(node), -1)
-        found = []
+        found = list(self._instances(kinds, ground, options))
+        if self.labels.instances is not None:
+            kinds[self.labels.instances > 0] = -1
         for kind in np.unique(kinds[kinds >= 0]):
             index = np.flatnonzero(kinds == kind)
             for piece in self.pieces(index, options):
-                confidence = float(self.labels.confidence[piece].mean())
-                box = oriented_box(self.means_m[piece], ground)
-                found.append(SceneObject(self.taxonomy.nodes[kind], piece, confidence, box))
+                found.append(self._object(int(kind), piece, ground))
         return sorted(found, key=lambda o: (-len(o), o.index[0]))
+
+    def _instances(
+        self, kinds: NDArray[np.int32], ground: Ground | None, options: ObjectOptions
+    ) -> Iterator[SceneObject]:
+        """Yield the instances whose most frequent kind is one of those selected.
+
+        Args:
+            kinds: [N] selected kind of each Gaussian, -1 for Gaussians that are not selected.
+        """
+        instances = self.labels.instances
+        if instances is None:
+            return
+        confident = self.labels.confidence >= options.min_confidence
+        order = np.argsort(instances, kind="stable")
+        starts = np.flatnonzero(np.diff(instances[order]))
+        for index in np.split(order, starts + 1):
+            index = index[confident[index]]
+            if not len(index) or instances[index[0]] <= 0:
+                continue
+            names, counts = np.unique(kinds[index], return_counts=True)
+            kind = int(names[counts.argmax()])
+            pieces = self.pieces(np.sort(index), options) if kind >= 0 else []
+            if pieces:
+                members = np.sort(np.concatenate(pieces))
+                yield self._object(kind, members, ground, int(instances[index[0]]))
+
+    def _object(
+        self, kind: int, index: NDArray[np.intp], ground: Ground | None, instance: int = 0
+    ) -> SceneObject:
+        confidence = float(self.labels.confidence[index].mean())
+        box = oriented_box(self.means_m[index], ground)
+        return SceneObject(self.taxonomy.nodes[kind], index, confidence, box, instance)
 
     def pieces(self, index: NDArray[np.intp], options: ObjectOptions) -> list[NDArray[np.intp]]:
         """Return the connected components of some Gaussians, without noise."""

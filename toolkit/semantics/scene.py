@@ -138,6 +138,7 @@ class SceneReader:
             "name": found.node.name,
             "path": list(found.node.path),
             "is_class": found.node.leaf,
+            "instance": found.instance or None,
             "gaussians": len(found),
             "confidence": round(found.confidence, _DECIMALS),
             "box": _box_values(found.box),

@@ -14,6 +14,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import InMemoryScene
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.instances.result import InstanceMap
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.mapping.mapper import MappingResult
 from toolkit.mapping.semantic_mapping import SemanticMapping
@@ -223,6 +224,7 @@ class SlamResult:
             loaded map if a frame was located there, otherwise the part of the most frames.
         other_parts: the other parts, as far as frames were tracked in them.
         units_per_metre: of the unit of length in which the system worked; see `LengthUnit`.
+        instances: objects of the map; None before `finish`, and without instances.
         keyframe_indices: frame indices of all keyframes of this sequence, in order. A keyframe on
             the boundary of two submaps counts once; those of a loaded map do not count.
         submaps: all submaps by number.
@@ -256,6 +258,7 @@ class SlamResult:
     parts: list[tuple[int, ...]] = field(default_factory=list)
     other_parts: list[SeparatePart] = field(default_factory=list)
     units_per_metre: float = 1.0
+    instances: InstanceMap | None = field(default=None, repr=False)
 
     @property
     def gaussians(self) -> GaussianCloud:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.geometry import se3
+from toolkit.instances.finishing import finish_instances
+from toolkit.instances.result import InstanceMap
+from toolkit.instances.tracking import InstanceTracker
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.loops.closing.interface import LoopClosing
@@ -55,6 +59,7 @@ _Part = (
     | CameraPath
     | IntermediateFrames
     | DepthCorrection
+    | InstanceTracker
 )
 
 
@@ -68,6 +73,7 @@ class Slam:
         atlas: Atlas | None = None,
         sources: FrameSources | None = None,
         recorder: Recorder | None = None,
+        instances: InstanceTracker | None = None,
     ) -> None:
         """Assemble the system.
 
@@ -77,6 +83,7 @@ class Slam:
             atlas: holds all submaps; a single submap by default.
             sources: what frames are prepared with; by default, they are denoised.
             recorder: receives times and counts.
+            instances: tracks objects; None for a map without instances.
         """
         self.mapper = mapper
         self.tracker = front_end.tracker
@@ -96,6 +103,8 @@ class Slam:
         self._locator = FrameLocator(front_end, self.atlas, self._recovery, self._recorder)
         self._changes = SubmapChanges(front_end, mapper, self.atlas, self._recorder)
         self._fused: list[FusedMap | None] = []
+        self._instances = instances
+        self._instance_map: InstanceMap | None = None
 
     @property
     def unit(self) -> LengthUnit:
@@ -194,6 +203,9 @@ class Slam:
             last, exposure = self.atlas.keyframes[-1], exposure_of(tracking)
             self._between.add(frame, last, T_map_camera, exposure)
 
+        if self._instances is not None:
+            with self._recorder.timed(Stage.INSTANCES):
+                self._instances.update(self.atlas.active, self.atlas.keyframes)
         steps = 0 if mapping is None else mapping.steps
         self._path.add(frame, self.atlas, T_map_camera, tracking, steps)
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
@@ -291,6 +303,11 @@ class Slam:
                 label_saved(self.atlas, self.mapper, parts)
                 free_space = self.mapper.options.free_space
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
+                if self._instances is not None:
+                    with self._recorder.timed(Stage.INSTANCE_VOTES):
+                        self._instance_map = finish_instances(
+                            self._instances, self.atlas, self._fused
+                        )
         return self.result()
 
     @property
@@ -303,6 +320,7 @@ class Slam:
         """The current state of the run."""
         semantics, maps = self.mapper.semantics, self._fused
         found = collected(self.atlas, self._path, self._closer, maps, semantics, self.taxonomy)
+        found = replace(found, instances=self._instance_map)
         return self.unit.result_in_metres(found)
 
     def store_in_metres(self) -> None:
@@ -389,5 +407,6 @@ class Slam:
             "recovery": self._recovery,
             "changes": self._changes,
         }
-        correction = self._preparation.correction
-        return parts if correction is None else parts | {"correction": correction}
+        correction, instances = self._preparation.correction, self._instances
+        parts |= {} if correction is None else {"correction": correction}
+        return parts if instances is None else parts | {"instances": instances}

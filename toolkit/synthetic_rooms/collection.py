@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from toolkit.semantics.taxonomy_parsing import folded
 from toolkit.synthetic_rooms import textures as tx
-from toolkit.synthetic_rooms.furniture import CLOTHS, DARK, PALE, WOODS, Workshop
+from toolkit.synthetic_rooms.furniture import CLOTHS, DARK, PALE, WOODS, Workshop, piece
 from toolkit.synthetic_rooms.parts import Part, moved
 from toolkit.synthetic_rooms.patches import (
     TexturedPatch,
@@ -88,7 +88,8 @@ def shelves_of_objects(plan: RoomPlan, shop: Workshop, names: Sequence[str]) -> 
     made = [_object(shop, name) for name in objects]
     for number, place in enumerate(shop.rng.permutation(len(compartments))):
         turn = placement(0.0, 0.0, 0.0, shop.rng.uniform(-0.3, 0.3))
-        parts += moved(made[number % len(made)], compartments[place] @ turn)
+        copy = shop.as_objects(made[number % len(made)])
+        parts += moved(copy, compartments[place] @ turn)
     return parts
 
 
@@ -106,6 +107,7 @@ def _free_walls(plan: RoomPlan) -> Iterator[tuple[Side, float, float]]:
                 yield side, start, end
 
 
+@piece
 def _open_shelf(shop: Workshop, width: float) -> list[Part]:
     """An empty shelf with its back at y = 0, centred at x = 0."""
     height = _FIRST_M + _PITCH_M * _ROWS
@@ -118,6 +120,7 @@ def _open_shelf(shop: Workshop, width: float) -> list[Part]:
     return [shop.part("shelf", body, tx.wood(shop.pick(WOODS)))]
 
 
+@piece
 def _object(shop: Workshop, name: str) -> list[Part]:
     """An object with the shape of its word, standing at z = 0 and centred at x = y = 0."""
     entry = built_in().look_up(name)

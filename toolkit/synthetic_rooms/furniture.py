@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from typing import Concatenate, ParamSpec
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +13,7 @@ from toolkit.geometry import se3
 from toolkit.synthetic_rooms import pictures
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.finishes import Finish
-from toolkit.synthetic_rooms.parts import Part
+from toolkit.synthetic_rooms.parts import Part, with_object_ids
 from toolkit.synthetic_rooms.patches import (
     TexturedPatch,
     bent,
@@ -30,12 +34,21 @@ CLOTHS: tuple[Colour, ...] = (
 PALE: Colour = (0.86, 0.84, 0.78)
 DARK: Colour = (0.2, 0.2, 0.22)
 
+P = ParamSpec("P")
+
 
 class Workshop:
     """Creates parts, each with its own random stream."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
+        self._objects = 0
+
+    def as_objects(self, parts: list[Part]) -> list[Part]:
+        """Give the objects of a piece of furniture numbers that no other piece has."""
+        numbered = with_object_ids(parts, self._objects + 1)
+        self._objects = max([self._objects, *(part.object_id for part in numbered)])
+        return numbered
 
     def part(
         self,
@@ -55,6 +68,18 @@ class Workshop:
         return float(varied[0]), float(varied[1]), float(varied[2])
 
 
+def piece(
+    make: Callable[Concatenate[Workshop, P], list[Part]],
+) -> Callable[Concatenate[Workshop, P], list[Part]]:
+    """Decorate a function that makes a piece of furniture: its parts know their object."""
+
+    @functools.wraps(make)
+    def made(shop: Workshop, *args: P.args, **kwargs: P.kwargs) -> list[Part]:
+        return shop.as_objects(make(shop, *args, **kwargs))
+
+    return made
+
+
 def _legs(width: float, depth: float, height: float, thickness: float) -> list[TexturedPatch]:
     """Create four square legs under a rectangle whose back is at y = 0."""
     x = width / 2 - thickness
@@ -62,6 +87,7 @@ def _legs(width: float, depth: float, height: float, thickness: float) -> list[T
     return [p for sx, y in corners for p in box((thickness, thickness, height), (sx, y, 0.0))]
 
 
+@piece
 def bed(shop: Workshop) -> list[Part]:
     """A double bed, 1.6 x 2.05 m, with comforter, blanket and two pillows."""
     frame = shop.pick(WOODS)
@@ -87,6 +113,7 @@ def bed(shop: Workshop) -> list[Part]:
     return parts
 
 
+@piece
 def sofa(shop: Workshop) -> list[Part]:
     """A sofa, 1.9 x 0.88 m, with two cushions on it."""
     cloth = shop.pick(CLOTHS)
@@ -113,6 +140,7 @@ def _leaning(patch: TexturedPatch, x: float, yaw_rad: float) -> TexturedPatch:
     return patch.transformed(se3.from_rotation_translation(upright, place))
 
 
+@piece
 def wardrobe(shop: Workshop) -> list[Part]:
     """A wardrobe, 1.2 x 0.55 x 2.05 m, with two doors and handles."""
     colour = shop.pick(WOODS)
@@ -125,6 +153,7 @@ def wardrobe(shop: Workshop) -> list[Part]:
     ]
 
 
+@piece
 def desk(shop: Workshop) -> list[Part]:
     """A desk, 1.3 x 0.65 m, 0.74 m high, without objects on it."""
     top = box((1.3, 0.65, 0.04), (0.0, -0.325, 0.7))
@@ -135,6 +164,7 @@ def desk(shop: Workshop) -> list[Part]:
     ]
 
 
+@piece
 def table(
     shop: Workshop, width: float = 1.2, depth: float = 0.8, height: float = 0.74
 ) -> list[Part]:
@@ -145,6 +175,7 @@ def table(
     return [shop.part("table", top + legs, tx.wood(colour, 0.11))]
 
 
+@piece
 def round_table(shop: Workshop, radius: float = 0.45, height: float = 0.45) -> list[Part]:
     """A round table with its edge at y = 0."""
     x, y = 0.0, -radius
@@ -153,6 +184,7 @@ def round_table(shop: Workshop, radius: float = 0.45, height: float = 0.45) -> l
     return [shop.part("table", patches, tx.wood(shop.pick(WOODS), 0.11))]
 
 
+@piece
 def chair(shop: Workshop) -> list[Part]:
     """A wooden chair, 0.45 m wide, 0.9 m high, with its back at y = 0."""
     wood = _legs(0.45, 0.45, 0.43, 0.04)
@@ -168,6 +200,7 @@ def chair(shop: Workshop) -> list[Part]:
     ]
 
 
+@piece
 def stool(shop: Workshop) -> list[Part]:
     """A round stool, 0.34 m wide."""
     patches = cylinder(0.17, 0.05, (0.0, -0.17, 0.42)) + cylinder(0.03, 0.42, (0.0, -0.17, 0.0))
@@ -175,6 +208,7 @@ def stool(shop: Workshop) -> list[Part]:
     return [shop.part("stool", patches, tx.wood(shop.pick(WOODS), 0.11))]
 
 
+@piece
 def shelf(shop: Workshop, width: float = 0.9, height: float = 1.85) -> list[Part]:
     """An open shelf, 0.3 m deep, with rows of books and a few objects."""
     depth, board = 0.3, 0.025
@@ -205,6 +239,7 @@ def _book_row(shop: Workshop, length: float, z: float) -> list[Part]:
         x += thickness
 
 
+@piece
 def cabinet(shop: Workshop, width: float = 1.1, name: str = "cabinet") -> list[Part]:
     """A low cabinet, 0.42 m deep, 0.75 m high, with drawers."""
     body = box((width, 0.42, 0.75), (0.0, -0.21, 0.0))
@@ -220,6 +255,7 @@ def cabinet(shop: Workshop, width: float = 1.1, name: str = "cabinet") -> list[P
     ]
 
 
+@piece
 def nightstand(shop: Workshop) -> list[Part]:
     """A nightstand, 0.45 x 0.4 x 0.5 m."""
     body = box((0.45, 0.4, 0.5), (0.0, -0.2, 0.0))
@@ -230,6 +266,7 @@ def nightstand(shop: Workshop) -> list[Part]:
     ]
 
 
+@piece
 def floor_lamp(shop: Workshop) -> list[Part]:
     """A standing lamp, 1.6 m high, 0.4 m wide."""
     y = -0.22
@@ -240,6 +277,7 @@ def floor_lamp(shop: Workshop) -> list[Part]:
     ]
 
 
+@piece
 def table_lamp(shop: Workshop) -> list[Part]:
     """A lamp for a nightstand or a desk, 0.42 m high, 0.24 m wide."""
     y = -0.14
@@ -264,6 +302,7 @@ def _shade_cloth(shop: Workshop) -> Texture:
     return tx.banded((0.93, 0.87, 0.72), shop.pick(CLOTHS), 0.09)
 
 
+@piece
 def curtain(shop: Workshop, width: float, height: float) -> list[Part]:
     """A curtain with folds, its back at y = 0 and its lower edge at z = 0."""
     flat = fine_plate((-width / 2, -0.06, height), (width, 0, 0), (0, 0, -height), (40, 8))

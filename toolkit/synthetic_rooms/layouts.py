@@ -23,6 +23,8 @@ from toolkit.synthetic_rooms.textures import weakened
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, GLOSSY_CLASS_NAMES, numbered
 
 _EYE_M = 1.45
+# Numbers of objects per room; a room has about a hundred objects.
+_MAX_OBJECTS = 1000
 _WALL_M = 2 * WALL_HALF_M
 _CORRIDOR_DEPTH_M = 1.9
 _NORTH_OFFSET_M = 0.1  # offset of the camera path from the middle of a corridor
@@ -268,14 +270,20 @@ def build_parts(
         # Built at the origin, so that identical rooms are bit-identical before they are placed.
         shop = Workshop(np.random.default_rng([seed, 1, look]))
         at_origin = replace(plan, centre_m=(0.0, 0.0))
-        room = room_shell(at_origin, shop)
+        room = shop.as_objects(room_shell(at_origin, shop))
         if collection is None:
             rearranged = later and number == 0 and layout.revisit == "moved"
             room += furnish(at_origin, shop, rearranged)
         else:
             room += shelves_of_objects(at_origin, shop, collection)
-        parts += moved(room, placement(*plan.centre_m))
+        parts += moved(_of_room(number, room), placement(*plan.centre_m))
     return parts
+
+
+def _of_room(number: int, parts: list[Part]) -> list[Part]:
+    """Parts of a room, whose objects have other numbers than those of other rooms."""
+    first = number * _MAX_OBJECTS
+    return [replace(part, object_id=first + part.object_id) for part in parts]
 
 
 def lamp_places(rooms: tuple[RoomPlan, ...]) -> NDArray[np.float64]:

@@ -38,6 +38,7 @@ class RayCastView:
         cosine: [H, W] float32 cosine of the angle between ray and normal at pixel centres.
         walker: [H, W] bool, pixels that show a walker at least in part; None without one.
         reflection: what the surfaces reflect; None in rooms without gloss.
+        objects: [H, W] int32 numbers of the objects at pixel centres, 0 where there is none.
     """
 
     rgb: NDArray[np.float32]
@@ -46,6 +47,7 @@ class RayCastView:
     cosine: NDArray[np.float32]
     walker: NDArray[np.bool_] | None = None
     reflection: Reflection | None = None
+    objects: NDArray[np.int32] | None = None
 
 
 class Scene:
@@ -80,6 +82,9 @@ class Scene:
         sizes = [len(corners) for corners in triangles]
         self.triangle_labels = np.repeat(
             np.array([class_ids[part.class_name] for part in owners], dtype=np.int32), sizes
+        )
+        self._triangle_objects = np.repeat(
+            np.array([part.object_id for part in owners], dtype=np.int32), sizes
         )
         self._triangle_finish: NDArray[np.uint8] | None = None
         if glossy:
@@ -139,6 +144,7 @@ class Scene:
             labels=np.where(hit, self.triangle_labels[triangle], 0).reshape(shape),
             cosine=np.where(hit, hits.cosine, 0.0).astype(np.float32).reshape(shape),
             reflection=reflection,
+            objects=np.where(hit, self._triangle_objects[triangle], 0).reshape(shape),
         )
 
     def render_depth(self, camera: Camera, T_world_camera: NDArray) -> NDArray[np.float32]:

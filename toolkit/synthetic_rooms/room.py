@@ -180,7 +180,7 @@ def make_room(
     later = scene
     if layout.revisit != "same":
         later = room_scene(settings, later=True)
-    views = _views(scene, settings, poses, later)
+    views = writer.with_instances(path, _views(scene, settings, poses, later))
     if settings.walker:
         views = writer.with_walker_masks(path, views)
     if settings.glossy:
@@ -191,6 +191,7 @@ def make_room(
     writer.write_sequence(path, frames, camera, poses, class_ids)
     ideal = poses_off_the_path(scene, camera, poses, settings.unseen, settings.stream(_UNSEEN))
     unseen: Iterable[RayCastView] = (scene.render(camera, T) for T in ideal)
+    unseen = writer.with_instances(path / "unseen", unseen)
     if settings.glossy:
         unseen = writer.with_surfaces(path / "unseen", unseen)
     writer.write_sequence(path / "unseen", _frames(unseen, camera), camera, ideal, class_ids)

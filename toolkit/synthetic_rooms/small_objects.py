@@ -15,7 +15,7 @@ from toolkit.geometry import se3
 from toolkit.synthetic_rooms import pictures
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.finishes import Finish
-from toolkit.synthetic_rooms.furniture import CLOTHS, DARK, PALE, WOODS, Workshop
+from toolkit.synthetic_rooms.furniture import CLOTHS, DARK, PALE, WOODS, Workshop, piece
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.patches import (
     TexturedPatch,
@@ -29,6 +29,7 @@ from toolkit.synthetic_rooms.patches import (
 )
 
 
+@piece
 def vase(shop: Workshop) -> list[Part]:
     """A vase, 0.28 m high."""
     profile = [(0.035, 0.28), (0.03, 0.24), (0.07, 0.16), (0.075, 0.1), (0.04, 0.0)]
@@ -36,6 +37,7 @@ def vase(shop: Workshop) -> list[Part]:
     return [shop.part("vase", [lathe(profile), disk(0.035, (0, 0, 0.275))], texture)]
 
 
+@piece
 def bowl(shop: Workshop) -> list[Part]:
     """A bowl, 0.24 m wide."""
     profile = [(0.12, 0.08), (0.11, 0.05), (0.07, 0.015), (0.05, 0.0)]
@@ -43,6 +45,7 @@ def bowl(shop: Workshop) -> list[Part]:
     return [shop.part("bowl", [lathe(profile), lathe(inside)], tx.banded(PALE, shop.pick(CLOTHS)))]
 
 
+@piece
 def bottle(shop: Workshop) -> list[Part]:
     """A bottle, 0.28 m high."""
     profile = [(0.014, 0.28), (0.014, 0.21), (0.036, 0.16), (0.036, 0.0)]
@@ -55,11 +58,13 @@ def bottle(shop: Workshop) -> list[Part]:
     ]
 
 
+@piece
 def cup(shop: Workshop) -> list[Part]:
     """A mug."""
     return [shop.part("cup", cylinder(0.042, 0.1), tx.banded(shop.pick(CLOTHS), PALE, 0.04))]
 
 
+@piece
 def books(shop: Workshop) -> list[Part]:
     """A stack of three books."""
     parts, z = [], 0.0
@@ -72,12 +77,14 @@ def books(shop: Workshop) -> list[Part]:
     return parts
 
 
+@piece
 def carton(shop: Workshop, size: tuple[float, float, float] = (0.4, 0.32, 0.3)) -> list[Part]:
     """A cardboard box with a printed pattern."""
     texture = tx.plaid((0.68, 0.52, 0.34), ((0.6, 0.44, 0.28), (0.35, 0.25, 0.17)), 0.19)
     return [shop.part("box", box(size), texture)]
 
 
+@piece
 def bin_(shop: Workshop) -> list[Part]:
     """A waste-paper bin, 0.32 m high."""
     profile = [(0.14, 0.32), (0.13, 0.16), (0.11, 0.0)]
@@ -85,6 +92,7 @@ def bin_(shop: Workshop) -> list[Part]:
     return [shop.part("bin", patches, tx.banded(shop.pick(CLOTHS), DARK, 0.05))]
 
 
+@piece
 def basket(shop: Workshop) -> list[Part]:
     """A wicker basket, 0.3 m high."""
     profile = [(0.2, 0.3), (0.22, 0.15), (0.18, 0.0)]
@@ -92,18 +100,21 @@ def basket(shop: Workshop) -> list[Part]:
     return [shop.part("basket", patches, tx.weave((0.66, 0.5, 0.3), 0.03, 0.22))]
 
 
+@piece
 def ball(shop: Workshop) -> list[Part]:
     """An exercise ball."""
     patches = [ellipsoid((0.27, 0.27, 0.265), (0, 0, 0.265))]
     return [shop.part("exercise-ball", patches, tx.banded(shop.pick(CLOTHS), PALE, 0.1))]
 
 
+@piece
 def sculpture(shop: Workshop) -> list[Part]:
     """A lathe-turned sculpture, 0.35 m high."""
     profile = [(0.0, 0.35), (0.05, 0.31), (0.025, 0.25), (0.07, 0.15), (0.03, 0.06), (0.06, 0.0)]
     return [shop.part("sculpture", [lathe(profile)], tx.speckled((0.55, 0.5, 0.46), 0.15))]
 
 
+@piece
 def monitor(shop: Workshop) -> list[Part]:
     """A 0.56 m wide monitor on a stand with its screen towards -y."""
     case = box((0.56, 0.035, 0.35), (0.0, 0.0, 0.1)) + box((0.05, 0.03, 0.12), (0.0, 0.03, 0.0))
@@ -115,11 +126,13 @@ def monitor(shop: Workshop) -> list[Part]:
     ]
 
 
+@piece
 def keyboard(shop: Workshop) -> list[Part]:
     """A keyboard."""
     return [shop.part("computer-keyboard", box((0.42, 0.14, 0.02)), pictures.keys())]
 
 
+@piece
 def computer(shop: Workshop) -> list[Part]:
     """A desktop computer's case, 0.42 m high."""
     return [
@@ -129,6 +142,7 @@ def computer(shop: Workshop) -> list[Part]:
     ]
 
 
+@piece
 def plant(shop: Workshop, height: float = 1.3) -> list[Part]:
     """A pot with a plant of arching leaves, about 0.9 m wide."""
     pot_height = 0.3
@@ -171,6 +185,7 @@ def _leaf(rng: np.random.Generator, number: int, z: float) -> TexturedPatch:
     return TexturedPatch(points, uv_m, np.ones((8, 4), dtype=bool)).transformed(T)
 
 
+@piece
 def picture(
     shop: Workshop, width: float = 0.7, height: float = 0.5, finish: Finish = Finish.MATT
 ) -> list[Part]:
@@ -180,6 +195,7 @@ def picture(
     return [shop.part("picture", patches, pictures.painting(palette), finish=finish)]
 
 
+@piece
 def clock(shop: Workshop) -> list[Part]:
     """A round wall clock, 0.32 m wide."""
     T = se3.from_rotation_translation(se3.exp_so3(np.array([math.pi / 2, 0, 0])), np.zeros(3))
@@ -187,6 +203,7 @@ def clock(shop: Workshop) -> list[Part]:
     return [shop.part("clock", patches, pictures.dial())]
 
 
+@piece
 def television(shop: Workshop) -> list[Part]:
     """A 1.1 m wide flat screen on the wall."""
     case = box((1.1, 0.05, 0.64), (0.0, -0.025, -0.32))
@@ -197,6 +214,7 @@ def television(shop: Workshop) -> list[Part]:
     ]
 
 
+@piece
 def blinds(shop: Workshop, width: float, height: float) -> list[Part]:
     """Horizontal blinds of slats, hanging from z = 0 down to -height."""
     flat = fine_plate(
@@ -209,6 +227,7 @@ def blinds(shop: Workshop, width: float, height: float) -> list[Part]:
     return [shop.part("blinds", [bent(flat, slats)], tx.banded(PALE, shop.pick(WOODS), 0.08))]
 
 
+@piece
 def switch(shop: Workshop) -> list[Part]:
     """A light switch."""
     patches = box((0.09, 0.012, 0.09), (0, -0.006, -0.045)) + box(
@@ -217,6 +236,7 @@ def switch(shop: Workshop) -> list[Part]:
     return [shop.part("switch", patches, tx.speckled((0.9, 0.89, 0.85)))]
 
 
+@piece
 def rug(shop: Workshop, width: float = 2.0, depth: float = 1.4) -> list[Part]:
     """A patterned rug."""
     texture = tx.carpet(shop.pick(CLOTHS), shop.pick((PALE, DARK, (0.75, 0.6, 0.4))))

@@ -112,6 +112,7 @@ class Walker:
             labels=np.where(front, 0, view.labels).astype(np.int32),
             cosine=np.where(front, seen.cosine, view.cosine),
             walker=view.walker | front | (shown > 0.02),
+            objects=None if view.objects is None else np.where(front, 0, view.objects),
         )
 
 

@@ -24,6 +24,7 @@ DEPTH_SCALE = 6553.5
 MARKER = "room.json"
 WALKER = "walker"
 SURFACE = "surface"
+INSTANCES = "instances"
 
 
 def prepare_folder(path: Path) -> None:
@@ -42,6 +43,7 @@ def prepare_folder(path: Path) -> None:
                 (folder / name).mkdir(parents=True, exist_ok=True)
                 _remove_images(folder / name)
             _remove_images(folder / SURFACE)
+            _remove_images(folder / INSTANCES)
         _remove_images(path / WALKER)
         # Empty until the room is complete, so that an interrupted room can be recreated.
         (path / MARKER).write_text("")
@@ -66,6 +68,19 @@ def with_walker_masks(path: Path, views: Iterable[RayCastView]) -> Iterator[RayC
             except OSError as error:
                 raise DatasetError(f"cannot write {name.parent}: {error.strerror}") from error
             _write_png(name, 255 * view.walker.astype(np.uint8))
+        yield view
+
+
+def with_instances(path: Path, views: Iterable[RayCastView]) -> Iterator[RayCastView]:
+    """Write the numbers of the objects in each view that passes, as 16-bit PNG files."""
+    folder = path / INSTANCES
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise DatasetError(f"cannot write {folder}: {error.strerror}") from error
+    for index, view in enumerate(views):
+        if view.objects is not None:
+            _write_png(folder / f"instance{index:06d}.png", view.objects.astype(np.uint16))
         yield view
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +17,7 @@ from toolkit.exposure import Exposure
 from toolkit.io import storage
 from toolkit.io.arrays import arrays_below
 from toolkit.refinement.fusion import FusedMap, fuse_submaps, single_submap
-from toolkit.runs.folder import RunFolder
+from toolkit.runs.folder import MapPart, RunFolder
 from toolkit.runs.map_files import splat_labels
 
 Array = NDArray[np.float64]
@@ -80,14 +80,14 @@ def assemble(task: AssemblyTask) -> Assembled:
             folder.write_semantics(features, semantics.state(), source.taxonomy)
         confidence = source.settings.semantics.min_confidence
 
-        def labelled():  # type: ignore[no-untyped-def]
+        def labelled() -> Iterator[MapPart]:
             for number, part in zip(fused.numbers, fused.parts(), strict=True):
                 labels = None
                 if source.taxonomy is not None:
                     # As stored: the file contains rounded features.
                     decoding = semantics.decode_gaussians(part.features.half().float())
                     labels = splat_labels(decoding, confidence)
-                yield source.unit.cloud_in_metres(part), labels, number
+                yield MapPart(source.unit.cloud_in_metres(part), labels, number)
 
         folder.write_map(labelled())
         storage.upload(folder.map, storage.join(task.work.out, "map.ply"))

@@ -54,7 +54,7 @@ class LabelImageFolder:
         self._palette = None if colours is None else _Palette(colours, names_file)
         if colours is not None:
             self._vocabulary.check(np.array(list(colours)), f"{names_file}: colours")
-        self._files = _by_stem(folder, stems) if stems is not None else _by_number(folder)
+        self._files = files_by_stem(folder, stems) if stems is not None else files_by_number(folder)
 
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
@@ -69,7 +69,7 @@ class LabelImageFolder:
         if file is None:
             return self._missing(frame)
         labels = self._read(file)
-        return _resized(labels, frame.camera.size, file)
+        return resized_labels(labels, frame.camera.size, file)
 
     def _missing(self, frame: Frame) -> NDArray[np.int32]:
         if not self._gaps:
@@ -145,7 +145,7 @@ def _images(folder: Path) -> list[Path]:
     return found
 
 
-def _by_stem(folder: Path, stems: Sequence[str]) -> dict[int, Path]:
+def files_by_stem(folder: Path, stems: Sequence[str]) -> dict[int, Path]:
     """Assign files to frame indices by the stem of the frame's image."""
     files = {file.stem: file for file in _images(folder)}
     paired = {index: files[stem] for index, stem in enumerate(stems) if stem in files}
@@ -158,7 +158,7 @@ def _by_stem(folder: Path, stems: Sequence[str]) -> dict[int, Path]:
     return paired
 
 
-def _by_number(folder: Path) -> dict[int, Path]:
+def files_by_number(folder: Path) -> dict[int, Path]:
     """Assign files to frame indices by the last number in their names.
 
     Raises:
@@ -184,7 +184,9 @@ def _by_number(folder: Path) -> dict[int, Path]:
     return paired
 
 
-def _resized(labels: NDArray[np.int32], size: tuple[int, int], file: Path) -> NDArray[np.int32]:
+def resized_labels(
+    labels: NDArray[np.int32], size: tuple[int, int], file: Path
+) -> NDArray[np.int32]:
     """Resize labels [H, W] to (width, height) by nearest neighbour.
 
     Raises:

@@ -1,0 +1,202 @@
+"""Instances against the truth: objects by connection, masks with faults, and geometric masks.
+
+    SEMSPLAT_DATA=DATA python -m benchmarks.instances [--seeds 5]
+
+All rows of a sequence see the same keyframes of one run; the map is the same.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from benchmarks.instance_masks import Faults, TrueMasks
+from benchmarks.recordings import RECORDINGS, room
+from benchmarks.report import Report, ReportOptions
+from benchmarks.tables import Metrics, Rows, table_of
+from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.registry import open_dataset
+from toolkit.evaluation.instances import instance_scores
+from toolkit.instances.finishing import finish_instances
+from toolkit.instances.geometric import GeometricMasks
+from toolkit.instances.masks import InstanceMasks, MaskSource
+from toolkit.instances.options import InstanceOptions
+from toolkit.instances.records import KeyframeMasks
+from toolkit.instances.result import InstanceMap
+from toolkit.instances.tracking import InstanceTracker
+from toolkit.instances.voting import GaussianVotes, MaskedKeyframe
+from toolkit.instances.voxels import VoxelVotes, sampling_step
+from toolkit.keyframe import Keyframe
+from toolkit.refinement.fusion import FusedMap
+from toolkit.runs.building import build_slam
+from toolkit.runs.map_files import splat_labels
+from toolkit.runs.settings import RunSettings
+from toolkit.semantics.query import LabelledMap, ObjectOptions
+from toolkit.slam.result import SlamResult
+from toolkit.slam.system import Slam
+
+# Name of a sequence: its dataset, number of frames and image size.
+SEQUENCES = ("room", "office0", "ring")
+ROOMS = {"room": "room-objects", "ring": "ring-small"}
+FAULTS = {
+    "true masks": Faults(),
+    "20 % dropped": Faults(dropped=0.2),
+    "15 % merged": Faults(merged=0.15),
+    "15 % halved": Faults(halved=0.15),
+    "eroded by 2 pixels": Faults(eroded=2),
+    "all faults": Faults(0.2, 0.15, 0.15, 2),
+    "all faults, embeddings": Faults(0.2, 0.15, 0.15, 2, embedded=0.5),
+}
+COMPONENTS, GEOMETRIC, UNLABELLED = "components of classes", "geometric", "geometric, no classes"
+COLUMNS = ("pq", "ap25", "ap50", "predicted", "true", "split", "merged", "ms_per_keyframe")
+DESCRIPTION = """\
+Every Gaussian of the map has the instance that most true instance images show at its place; its
+predicted object is compared with that. Scores do not depend on classes. "Components of classes"
+are the objects of a map without instances: DBSCAN on the Gaussians of each class. Other rows use
+true masks whose numbers restart in every frame, with the faults that the row names, or masks from
+depth, colour and class labels. Split: true objects of which several predicted ones show a part;
+merged: predicted objects with most of several true ones. The time is that of association per
+keyframe, without the source of the masks.
+
+room is a synthetic room of 120 frames with sensor noise (320x240), office0 51 views of Replica
+(300x170, given poses), ring four rooms with a loop (450 frames, 160x120, sensor noise)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(ReportOptions):
+    """Measure instances."""
+
+    seeds: int = 1
+    """Seeds 0, 1, ... of the synthetic rooms; a row is their median."""
+
+
+def main(options: Options) -> None:
+    """Measure all rows and write the results."""
+    title = "Instances"
+    report = Report("instances", title, DESCRIPTION, options, range(options.seeds))
+    found = report.measured({name: name for name in SEQUENCES}, measure)
+    rows: Rows = {
+        f"{name}, {variant}": [run[variant] for run in runs]
+        for name, runs in found.items()
+        for variant in runs[0]
+    }
+    report.write(table_of(COLUMNS, rows))
+
+
+def measure(name: str, seed: int) -> Metrics:
+    """Metrics of all rows of a sequence, by row."""
+    settings, folder = _settings(name, seed)
+    assert settings.dataset.path is not None
+    dataset = open_dataset(settings.dataset.kind, settings.dataset.path, settings.image_size)
+    slam = build_slam(dataset, settings)
+    assert slam.taxonomy is not None
+    names = dict(enumerate(slam.taxonomy.classes, start=1))
+    truth = TrueMasks(folder, Faults())
+    sources: dict[str, MaskSource] = {
+        **{row: TrueMasks(folder, faults, seed) for row, faults in FAULTS.items()},
+        GEOMETRIC: GeometricMasks(),
+        UNLABELLED: GeometricMasks(use_labels=False),
+    }
+    options = InstanceOptions()
+    trackers = {
+        row: InstanceTracker(options, _Timed(source), None if row == UNLABELLED else names)
+        for row, source in sources.items()
+    }
+    spent = dict.fromkeys(trackers, 0.0)
+    for index in range(len(dataset)):
+        slam.process_frame(dataset[index])
+        for row, tracker in trackers.items():
+            begin = time.perf_counter()
+            tracker.update(slam.atlas.active, slam.atlas.keyframes)
+            spent[row] += time.perf_counter() - begin
+    result = slam.finish()
+    assert isinstance(result.map, FusedMap)
+    true = _true_instances(slam, result.map, truth)
+    scored = {COMPONENTS: _scores(_components(result), true)}
+    for row, tracker in trackers.items():
+        source = tracker.source
+        assert isinstance(source, _Timed)
+        keyframes = max(len(tracker.records), 1)
+        instances = finish_instances(tracker, slam.atlas, [result.map])
+        scored[row] = _scores(_joined(instances, result.map), true)
+        scored[row]["ms_per_keyframe"] = 1000.0 * (spent[row] - source.spent_s) / keyframes
+    return scored
+
+
+class _Timed:
+    """A source of masks that measures its time."""
+
+    def __init__(self, source: MaskSource) -> None:
+        self._source, self.spent_s = source, 0.0
+
+    def masks(self, keyframe: Keyframe) -> InstanceMasks | None:
+        """The masks of the source."""
+        begin = time.perf_counter()
+        masks = self._source.masks(keyframe)
+        self.spent_s += time.perf_counter() - begin
+        return masks
+
+
+def _settings(name: str, seed: int) -> tuple[RunSettings, Path]:
+    """Settings of a sequence, and the folder of its true instances."""
+    if name in RECORDINGS:
+        path = RECORDINGS[name].path
+        dataset = DatasetOptions(kind="replica", path=path)
+        settings = RunSettings(dataset=dataset, image_size=(300, 170), poses="given")
+        return settings, path / "instances"
+    path = room(ROOMS[name], seed)
+    dataset = DatasetOptions(kind="synthetic", path=path)
+    return RunSettings(dataset=dataset, seed=seed), path / "instances"
+
+
+def _true_instances(slam: Slam, fused: FusedMap, truth: TrueMasks) -> NDArray[np.int32]:
+    """The true instance [N] of every Gaussian of the map, 0 for none."""
+    found = []
+    for number in fused.numbers:
+        submap = slam.atlas.submap(number)
+        means = fused.part(number).means.double().numpy()
+        images = [truth.truth(keyframe) for keyframe in submap.keyframes]
+        largest = max(int(image.max()) for image in images)
+        votes = GaussianVotes(means, VoxelVotes(1.0), largest)
+        for keyframe, image in zip(submap.keyframes, images, strict=True):
+            step = sampling_step(keyframe.camera.width)
+            numbers = np.arange(1, largest + 1, dtype=np.int32)
+            record = KeyframeMasks.of(keyframe.index, number, numbers, image[::step, ::step])
+            pose = submap.T_world_camera(keyframe)
+            votes.add(MaskedKeyframe(keyframe, pose, record, numbers))
+        found.append(votes.winners(fill=False))
+    return np.concatenate(found)
+
+
+def _components(result: SlamResult) -> NDArray[np.int32]:
+    """Objects [N] by connection of the Gaussians of each class, 0 for none."""
+    gaussians = result.gaussians
+    decoding = result.semantics.decode_gaussians(gaussians.features)
+    labels = splat_labels(decoding, 0.0)
+    assert result.taxonomy is not None
+    map_ = LabelledMap(gaussians.means.double().numpy(), labels, result.taxonomy)
+    found = np.zeros(len(gaussians), np.int32)
+    objects = map_.objects(None, None, ObjectOptions(min_gaussians=20))
+    for number, one in enumerate(objects, start=1):
+        found[one.index] = number
+    return found
+
+
+def _joined(instances: InstanceMap, fused: FusedMap) -> NDArray[np.int32]:
+    return np.concatenate([instances.ids[number] for number in fused.numbers])
+
+
+def _scores(predicted: NDArray[np.int32], truth: NDArray[np.int32]) -> Metrics:
+    return {
+        name: 100.0 * value if isinstance(value, float) else value
+        for name, value in asdict(instance_scores(predicted, truth)).items()
+    }
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

@@ -1,0 +1,142 @@
+"""Masks from a file in COCO's format of instance annotations or results."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+
+from toolkit.errors import DatasetError
+from toolkit.instances.masks import InstanceMasks
+from toolkit.instances.rle import decoded_mask
+from toolkit.io.user_files import read_text
+from toolkit.keyframe import Keyframe
+from toolkit.semantics.segmenters.image_folder import resized_labels
+
+
+@dataclass(frozen=True)
+class _Annotation:
+    segmentation: Any
+    class_name: str | None
+    score: float
+
+
+class CocoMasks:
+    """Masks of a COCO file; where they overlap, a pixel belongs to the smallest mask.
+
+    Images are assigned to frames by the stem of `file_name`, or by its last number.
+
+    Args:
+        path: the JSON file, with `images`, `annotations` and optional `categories`.
+        stems: names of the frames' images without suffix, by frame index; None to use numbers.
+
+    Raises:
+        DatasetError: the file cannot be read, or an entry is invalid.
+    """
+
+    def __init__(self, path: Path, stems: Sequence[str] | None = None) -> None:
+        self._path = path
+        content = _read(path)
+        try:
+            names = {int(c["id"]): str(c["name"]) for c in content.get("categories", [])}
+            sizes = {
+                i["id"]: (int(i["height"]), int(i["width"]), str(i["file_name"]))
+                for i in content["images"]
+            }
+            annotations = [(a["image_id"], _annotation(a, names)) for a in content["annotations"]]
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise DatasetError(
+                f"{path} is not a COCO file of instances ({error!r}); it needs images with id, "
+                "height, width and file_name, and annotations with image_id and segmentation"
+            ) from error
+        self._frames = _frames({n: name for n, (*_, name) in sizes.items()}, stems, path)
+        self._sizes = {image: (height, width) for image, (height, width, _) in sizes.items()}
+        self._annotations: dict[Any, list[_Annotation]] = {}
+        for image, annotation in annotations:
+            if image not in sizes:
+                raise DatasetError(
+                    f"{path}: an annotation has image_id {image}, which no image has"
+                )
+            self._annotations.setdefault(image, []).append(annotation)
+
+    def masks(self, keyframe: Keyframe) -> InstanceMasks | None:
+        """Return the masks of a keyframe's image, None without one.
+
+        Raises:
+            DatasetError: a mask cannot be decoded or has another size.
+        """
+        image = self._frames.get(keyframe.index)
+        if image is None:
+            return None
+        size, found = self._sizes[image], self._annotations.get(image, [])
+        ids = np.zeros(size, np.int32)
+        masks = []
+        for k, one in enumerate(found, start=1):
+            try:
+                masks.append(decoded_mask(one.segmentation, size))
+            except (ValueError, OverflowError) as error:
+                raise DatasetError(
+                    f"{self._path}: annotation {k} of image {image}: {error}; export the masks "
+                    "again"
+                ) from error
+        # Small masks are written last, so that they stay visible in front of large ones.
+        for k in sorted(range(len(masks)), key=lambda k: -int(masks[k].sum())):
+            ids[masks[k]] = k + 1
+        ids = resized_labels(ids, keyframe.camera.size, self._path)
+        return InstanceMasks(
+            ids,
+            [one.class_name for one in found],
+            np.array([one.score for one in found], np.float32),
+            np.zeros((len(found), 0), np.float32),
+        )
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    try:
+        content = json.loads(read_text(path))
+    except OSError as error:
+        raise DatasetError(f"cannot read {path}: {error.strerror}; check the path") from error
+    except (ValueError, RecursionError) as error:
+        raise DatasetError(f"{path} is not JSON ({error}); export the masks again") from error
+    if not isinstance(content, dict):
+        raise DatasetError(
+            f"{path} must have images, annotations and categories; results alone lack the images"
+        )
+    return content
+
+
+def _annotation(values: Mapping[str, Any], names: Mapping[int, str]) -> _Annotation:
+    score = float(values.get("score", 1.0))
+    if not 0.0 <= score <= 1.0:
+        raise ValueError(f"score {score} is not in 0 to 1")
+    category = values.get("category_id")
+    name = None if category is None else names.get(int(category))
+    return _Annotation(values["segmentation"], name, score)
+
+
+def _frames(names: Mapping[Any, str], stems: Sequence[str] | None, path: Path) -> dict[int, Any]:
+    """The image of each frame index.
+
+    Raises:
+        DatasetError: no image belongs to a frame, or two have the same number.
+    """
+    if stems is not None:
+        index = {stem: k for k, stem in enumerate(stems)}
+        found = {index[s]: i for i, n in names.items() if (s := PurePath(n).stem) in index}
+    else:
+        found = {}
+        for image, name in names.items():
+            numbers = re.findall(r"\d+", PurePath(name).stem)
+            if not numbers:
+                raise DatasetError(f"{path}: {name} has no number; set --instances.pairing stem")
+            if int(numbers[-1]) in found:
+                raise DatasetError(f"{path}: two images have number {int(numbers[-1])}; keep one")
+            found[int(numbers[-1])] = image
+    if not found:
+        raise DatasetError(f"{path}: no image belongs to a frame; check file_name and pairing")
+    return found

@@ -1,0 +1,50 @@
+"""Build the stage of instances from its options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from toolkit.errors import SettingsError
+from toolkit.instances.coco import CocoMasks
+from toolkit.instances.geometric import GeometricMasks
+from toolkit.instances.mask_images import MaskImageFolder
+from toolkit.instances.masks import MaskSource
+from toolkit.instances.options import InstanceOptions
+from toolkit.instances.tracking import InstanceTracker
+from toolkit.semantics.segmenters.image_folder import files_by_number, files_by_stem
+
+
+def build_instances(
+    options: InstanceOptions,
+    class_names: Mapping[int, str] | None = None,
+    stems: Sequence[str] | None = None,
+) -> InstanceTracker | None:
+    """Build what tracks objects; None if instances are off.
+
+    Args:
+        options: of instances.
+        class_names: names of the class ids of the run's labels; None without labels.
+        stems: names of the frames' images without suffix, by frame index.
+
+    Raises:
+        SettingsError: an option is missing.
+        DatasetError: the masks cannot be read.
+    """
+    if options.kind == "none":
+        return None
+    return InstanceTracker(options, _source(options, stems), class_names)
+
+
+def _source(options: InstanceOptions, stems: Sequence[str] | None) -> MaskSource:
+    if options.kind == "geometric":
+        return GeometricMasks()
+    path = options.path
+    if path is None:
+        raise SettingsError("--instances.kind folder needs the masks: add --instances.path FOLDER")
+    if not path.exists():
+        raise SettingsError(f"{path} does not exist; set --instances.path to the masks")
+    by_stem = options.pairing == "stem" and stems is not None
+    if path.is_file():
+        return CocoMasks(path, stems if by_stem else None)
+    files = files_by_stem(path, stems or ()) if by_stem else files_by_number(path)
+    return MaskImageFolder(path, files)

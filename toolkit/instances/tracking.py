@@ -1,0 +1,249 @@
+"""Instances while the map grows: every keyframe's masks find their objects, or start new ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import takewhile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.instances.association import COVERED, Association, Overlaps, add_votes, associate
+from toolkit.instances.evidence import PairEvidence, pairs_of
+from toolkit.instances.masks import InstanceMasks, MaskSource
+from toolkit.instances.objects import TrackedObject
+from toolkit.instances.options import InstanceOptions
+from toolkit.instances.records import KeyframeMasks, records_state, restored_records
+from toolkit.instances.voxels import MaskedVoxels, VoxelVotes, sampling_step
+from toolkit.io.arrays import arrays_below
+from toolkit.keyframe import Keyframe
+
+# Minimum number of voxels of a mask that starts an object, and of an object that is evidence.
+_MIN_VOXELS, _MIN_VISIBLE = 3, 4
+# Objects seen this often keep their voxels below a mask that covers several objects.
+_SETTLED_VIEWS = 2
+# Maximum number of masks in a frame; the smallest ones beyond are ignored.
+_MAX_MASKS = 4000
+# Minimum fraction of a mask with one class label.
+_MIN_CLASS = 0.5
+
+
+class InstanceTracker:
+    """The objects of all submaps.
+
+    Args:
+        options: size of voxels and of objects.
+        source: yields the masks of keyframes.
+        class_names: names of the class ids of keyframes, for masks without a class.
+
+    Attributes:
+        source: yields the masks.
+        objects: objects by number.
+        records: the masks of all keyframes, in order.
+        evidence: which objects are one, and which are not.
+        merged: objects that became part of others, by number.
+    """
+
+    def __init__(
+        self,
+        options: InstanceOptions,
+        source: MaskSource,
+        class_names: Mapping[int, str] | None = None,
+    ) -> None:
+        self.options = options
+        self.objects: dict[int, TrackedObject] = {}
+        self.records: list[KeyframeMasks] = []
+        self.evidence = PairEvidence()
+        self.merged: dict[int, int] = {}
+        self.source, self._class_names = source, class_names or {}
+        self._votes: dict[int, VoxelVotes] = {}
+        self._seen: set[tuple[int, int]] = set()
+        self._next = 1
+
+    def update(self, submap: int, keyframes: Sequence[Keyframe]) -> None:
+        """Associate the masks of the newest keyframes of a submap with its objects.
+
+        Args:
+            submap: its number.
+            keyframes: all of its keyframes, in order. Those at the end that the stage has not seen
+                are new; a submap may start with keyframes of the one before.
+
+        Raises:
+            DatasetError: the masks of a frame are invalid.
+        """
+        new = list(takewhile(lambda k: (submap, k.index) not in self._seen, reversed(keyframes)))
+        for keyframe in reversed(new):
+            self._seen.add((submap, keyframe.index))
+            self._add(submap, keyframe)
+
+    def _add(self, submap: int, keyframe: Keyframe) -> None:
+        masks = self.source.masks(keyframe)
+        if masks is None or not len(masks):
+            return
+        masks = _limited(masks)
+        step = sampling_step(keyframe.camera.width)
+        ids = masks.ids[::step, ::step]
+        votes = self._votes.setdefault(submap, VoxelVotes(self.options.voxel_m))
+        depth_m = keyframe.depth_m.numpy()
+        pose = keyframe.T_map_camera
+        seen = MaskedVoxels.of(ids, depth_m, keyframe.camera, pose, self.options.voxel_m)
+        rows = votes.rows_of(seen)
+        overlaps = Overlaps.of(seen, votes, rows, len(masks))
+        classes = self._classes(masks, ids, keyframe, step)
+        association = associate(overlaps, masks, classes, self.objects)
+        areas = np.bincount(ids.reshape(-1), minlength=len(masks) + 1)[1:] * step**2
+        found = self._objects_of(association, overlaps, submap, keyframe.index)
+        for k in np.flatnonzero(found):
+            one = self.objects[int(found[k])]
+            score, embedding = float(masks.scores[k]), masks.embeddings[k]
+            one.see(keyframe.index, float(areas[k]), classes[k], score, embedding)
+        covered = self._observe(overlaps)
+        add_votes(votes, seen, rows, overlaps, found, self.settled)
+        self.records.append(KeyframeMasks.of(keyframe.index, submap, found, ids))
+        self._merge(votes, covered)
+
+    def _classes(
+        self, masks: InstanceMasks, ids: NDArray[np.int32], keyframe: Keyframe, step: int
+    ) -> list[str | None]:
+        """The class names of masks; by default, that of the labels of most of their pixels."""
+        classes = list(masks.classes)
+        if keyframe.class_ids is None or all(name is not None for name in classes):
+            return classes
+        labels = keyframe.class_ids.numpy()[::step, ::step].reshape(-1).astype(np.int64)
+        width = int(labels.max(initial=0)) + 1
+        cells = np.bincount(
+            ids.reshape(-1).astype(np.int64) * width + labels, minlength=(len(masks) + 1) * width
+        ).reshape(len(masks) + 1, width)[1:]
+        cells[:, 0] = 0
+        best = cells.argmax(axis=1)
+        sure = cells.max(axis=1) >= _MIN_CLASS * np.maximum(cells.sum(axis=1), 1)
+        for k, name in enumerate(classes):
+            if name is None and sure[k] and best[k] > 0:
+                classes[k] = self._class_names.get(int(best[k]))
+        return classes
+
+    def _objects_of(
+        self, association: Association, overlaps: Overlaps, submap: int, index: int
+    ) -> NDArray[np.int32]:
+        """The object [K] of each mask; masks without one start a new object if large enough."""
+        found = association.objects.copy()
+        for k in np.flatnonzero((found == 0) & (overlaps.size[1:] >= _MIN_VOXELS)):
+            parent = int(association.parents[k])
+            number, self._next = self._next, self._next + 1
+            self.objects[number] = TrackedObject(number, submap, index, index, parent=parent)
+            if parent:
+                self.evidence.add((parent, number), together=False)
+            found[k] = number
+        return found
+
+    def _observe(self, overlaps: Overlaps) -> list[tuple[int, int]]:
+        """Count which visible objects one mask covers, and which ones different masks cover.
+
+        Returns:
+            The pairs that one mask covers.
+        """
+        visible = np.flatnonzero(overlaps.visible >= _MIN_VISIBLE)
+        covered = overlaps.covered[1:, visible] >= COVERED
+        mask = np.where(covered.any(axis=0), covered.argmax(axis=0), -1)
+        numbers, shown = overlaps.objects[visible][mask >= 0], mask[mask >= 0]
+        mask_of = dict(zip(numbers.tolist(), shown.tolist(), strict=True))
+        pairs = []
+        for a, b in pairs_of(mask_of):
+            together = mask_of[a] == mask_of[b]
+            self.evidence.add((a, b), together)
+            if together:
+                pairs.append((a, b))
+        return pairs
+
+    def _merge(self, votes: VoxelVotes, pairs: Iterable[tuple[int, int]]) -> None:
+        """Merge those of some pairs of objects that are one according to the evidence."""
+        table = None
+        for a, b in pairs:
+            a, b = self.current(a), self.current(b)
+            if a == b or not self.evidence.are_one(a, b):
+                continue
+            kept, gone = sorted((a, b), key=lambda n: (-self.objects[n].area, n))
+            self.merge(kept, gone)
+            table = np.arange(self._next, dtype=np.int32) if table is None else table
+            table[table == gone] = kept
+        if table is not None:
+            votes.relabel(table)
+
+    def merge(self, kept: int, gone: int) -> None:
+        """Make an object part of another one."""
+        self.objects[kept].absorb(self.objects.pop(gone))
+        self.evidence.replace(gone, kept)
+        self.merged[gone] = kept
+        for one in self.objects.values():
+            if one.parent == gone:
+                one.parent = kept if one.number != kept else 0
+
+    def settled(self, number: int) -> bool:
+        """Whether an object was seen often enough to keep its voxels below a mask of several."""
+        return self.objects[number].views >= _SETTLED_VIEWS
+
+    def current(self, number: int) -> int:
+        """The object that an object became part of; itself if it was not merged."""
+        while number in self.merged:
+            number = self.merged[number]
+        return number
+
+    def table(self) -> NDArray[np.int32]:
+        """The current object [M + 1] of every object number."""
+        return np.array([self.current(n) for n in range(self._next)], np.int32)
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays and JSON values from which `restore` continues identically."""
+        arrays = {f"records/{name}": array for name, array in records_state(self.records).items()}
+        for submap, votes in self._votes.items():
+            arrays |= {f"votes/{submap}/{name}": a for name, a in votes.state().items()}
+        objects = list(self.objects.values())
+        lengths = np.array([len(one.embedding) for one in objects], np.int64)
+        embeddings = [np.zeros(0, np.float32), *(one.embedding for one in objects)]
+        arrays |= {
+            "evidence": self.evidence.state(),
+            "seen": np.array(sorted(self._seen), np.int64).reshape(-1, 2),
+            "embedding_lengths": lengths,
+            "embeddings": np.concatenate(embeddings),
+        }
+        values = {
+            "objects": [one.values() for one in objects],
+            "merged": [[a, b] for a, b in self.merged.items()],
+            "submaps": list(self._votes),
+            "next": self._next,
+        }
+        return arrays, values
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
+        """Restore an earlier `state`."""
+        self.records = restored_records(arrays_below(arrays, "records/"))
+        self._votes = {}
+        for submap in values["submaps"]:
+            self._votes[submap] = VoxelVotes(self.options.voxel_m)
+            self._votes[submap].restore(arrays_below(arrays, f"votes/{submap}/"))
+        self.evidence.restore(arrays["evidence"])
+        self._seen = {(int(submap), int(index)) for submap, index in arrays["seen"]}
+        self.merged = {int(a): int(b) for a, b in values["merged"]}
+        self._next = int(values["next"])
+        self.objects = {
+            int(one["number"]): TrackedObject.from_values(one, embedding)
+            for one, embedding in zip(values["objects"], _embeddings(arrays), strict=True)
+        }
+
+
+def _embeddings(arrays: dict[str, NDArray]) -> Iterable[NDArray[np.float32]]:
+    ends = np.cumsum(arrays["embedding_lengths"])
+    return np.split(np.array(arrays["embeddings"]), ends)[: len(ends)]
+
+
+def _limited(masks: InstanceMasks) -> InstanceMasks:
+    """The largest masks of an image with very many."""
+    if len(masks) <= _MAX_MASKS:
+        return masks
+    areas = np.bincount(masks.ids.reshape(-1), minlength=len(masks) + 1)[1:]
+    kept = np.sort(np.argsort(-areas, kind="stable")[:_MAX_MASKS])
+    table = np.zeros(len(masks) + 1, np.int32)
+    table[kept + 1] = np.arange(1, len(kept) + 1)
+    classes = [masks.classes[k] for k in kept]
+    return InstanceMasks(table[masks.ids], classes, masks.scores[kept], masks.embeddings[kept])
