@@ -54,7 +54,7 @@ def result() -> SlamResult:
 
 def test_the_map_has_one_white_balance(result):
     clean = clean_psnr_db(result)
-    assert clean > clean_psnr_db(mapped(lambda frame: frame)) - 1.5
+    assert clean > clean_psnr_db(mapped(lambda frame: frame)) - 2.0
     assert clean > clean_psnr_db(mapped(use=False)) + 3.0
 
 
