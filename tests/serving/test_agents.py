@@ -102,6 +102,8 @@ def test_find_selects_by_class_colour_and_room(call):
     chairs = answer(call("find", name="chair"))
     assert chairs["total"] == 1 and chairs["objects"][0]["rooms"] == [1]
     assert answer(call("find", name="chair", colour="grey", room=1))["total"] == 1
+    armless = answer(call("find", name="armless chairs"))
+    assert armless["total"] == chairs["total"] and "'chair'" in armless["explanation"]
     assert answer(call("find", name="chair", colour="red"))["hint"]
     page = answer(call("find", first=2, limit=3))
     assert page["objects"] == everything["objects"][2:5]

@@ -23,6 +23,7 @@ from toolkit.exports.selection import select
 from toolkit.geometry import se3
 from toolkit.runs.registering import relative_pose
 from toolkit.semantics.colour_names import COLOUR_NAMES
+from toolkit.semantics.lexicon.matching import match
 from toolkit.semantics.measures import free_width_m, surface_distance
 from toolkit.semantics.paths import PathFinder, Place
 from toolkit.serving.options import EarlierRun
@@ -32,7 +33,7 @@ Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 MAX_RESULTS = 50
-_MAX_NAME = 100
+_MAX_NAME, _MAX_EXPLANATION = 100, 400
 _MAX_POINTS = 100
 _MIN_SIGHT_M = 1e-3
 # Control characters (ANSI sequences begin with one) and those that change the direction of text.
@@ -57,7 +58,7 @@ class MapTools:
         """Return the objects of a class or group, or all, largest first.
 
         Args:
-            name: class or group, None for all.
+            name: class, group or noun (`lexicon.matching`), None for all.
             colour: only objects of this colour.
             room: only objects of this room, from 1.
             first: number of results to skip.
@@ -66,7 +67,8 @@ class MapTools:
         Raises:
             ToolkitError: the name, colour or room does not exist.
         """
-        path = () if name is None else self._scene.map.taxonomy.find(name).path
+        meant = None if name is None else match(name, self._scene.map.taxonomy)
+        paths = [()] if meant is None else [node.path for node in meant.nodes]
         if colour is not None and colour not in COLOUR_NAMES:
             raise SettingsError(f"colour must be one of {', '.join(COLOUR_NAMES)}")
         if room is not None:
@@ -74,11 +76,13 @@ class MapTools:
         found = [
             item
             for number, item in enumerate(self._objects)
-            if self._scene.objects[number].node.path[: len(path)] == path
+            if any(self._scene.objects[number].node.path[: len(path)] == path for path in paths)
             and colour in (None, item["colour"])
             and (room is None or room in item["rooms"])
         ]
         answer: dict[str, Any] = {"total": len(found), "objects": found[first : first + limit]}
+        if meant is not None and meant.explanation is not None:
+            answer["explanation"] = shown(meant.explanation, _MAX_EXPLANATION)
         if not found:
             answer["hint"] = "nothing matches; call find without arguments to list all objects"
         return answer
