@@ -128,7 +128,7 @@ def _add_objects(tool: Callable[..., Any], tools: MapTools, computations: Comput
         first: First = 0,
         limit: Limit = 10,
     ) -> Answer:
-        """Objects of a class, group or noun ("couch"), a colour or a room; all without arguments."""
+        """Objects of a class, group or noun, a colour or a room; all objects without arguments."""
         return await computations.run(
             "queries", lambda: tools.find(name, colour, room, first, limit)
         )
