@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,7 +133,9 @@ def room(name: str, seed: int = 0) -> Path:
         seed: of furniture, textures, the camera's sway and the sensor noise.
     """
     folder = WORK / "rooms" / f"{name}-{seed}"
-    if not folder.is_dir():
+    # Rooms that an earlier version rendered lack instances.
+    if not (folder / "instances").is_dir():
+        shutil.rmtree(folder, ignore_errors=True)
         partial = folder.with_name(f"{folder.name}.partial")
         print(f"rendering {folder.name}", flush=True)
         semsplat("make-room", "--out", str(partial), *ROOMS[name], "--seed", str(seed))

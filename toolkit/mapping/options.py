@@ -93,10 +93,10 @@ class MapperOptions:
     final_shape: Literal["ellipsoids", "spheres"] = "ellipsoids"
     """Shape of the Gaussians of the finished map. Ellipsoids are merged from the spheres on which
     the camera was tracked, before the final refinement, and are rendered as 3DGS does."""
-    # Degree 1: +0.15 dB on unseen views of a kitchen, and files half as large again.
+    # Degree 1: +0.15 dB on unseen views of a kitchen, nothing in a glossy room, larger files.
     final_harmonics: Annotated[int, Range(ge=0, le=3)] = 0
-    """Degree of the spherical harmonics of ellipsoids, which follow colours that depend on the
-    direction of view, such as reflections. 0: none."""
+    """Degree of the spherical harmonics of ellipsoids, for colours that depend on the direction of
+    view. 0: none."""
     fill_holes: bool = True
     """Seed Gaussians where no keyframe measured depth: from frames between keyframes, and at an
     inferred depth before the final refinement."""
