@@ -231,3 +231,6 @@ def test_a_source_of_files_needs_an_existing_path(tmp_path):
         build_instances(InstanceOptions("folder"))
     with pytest.raises(SettingsError, match="does not exist"):
         build_instances(InstanceOptions("folder", tmp_path / "none"))
+    for kind in ("none", "geometric"):
+        with pytest.raises(SettingsError, match="has no effect"):
+            build_instances(InstanceOptions(kind, tmp_path))

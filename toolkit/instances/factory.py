@@ -27,9 +27,14 @@ def build_instances(
         stems: names of the frames' images without suffix, by frame index.
 
     Raises:
-        SettingsError: an option is missing.
+        SettingsError: an option is missing, or has no effect.
         DatasetError: the masks cannot be read.
     """
+    if options.path is not None and options.kind != "folder":
+        raise SettingsError(
+            f"--instances.path has no effect with --instances.kind {options.kind}; add "
+            "--instances.kind folder, or remove it"
+        )
     if options.kind == "none":
         return None
     return InstanceTracker(options, _source(options, stems), class_names)
