@@ -83,6 +83,16 @@ def make_run(
     return run.path
 
 
+def changed(parts: list[Part]) -> list[Part]:
+    """The parts of a room later: its chair has moved, and its ball is gone."""
+    offset = se3.from_rotation_translation(np.eye(3), np.array([1.5, -0.6, 0.0]))
+    return [
+        part.transformed(offset) if part.class_name == "chair" else part
+        for part in parts
+        if part.class_name != "exercise-ball"
+    ]
+
+
 def _frames(count: int) -> dict:
     """The content of frames.json: every frame is a tracked keyframe."""
     exposure = {"gain": 1.0, "bias": 0.0, "balance": [1.0, 1.0, 1.0]}

@@ -10,13 +10,12 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from layout_run import make_run
+from layout_run import changed, make_run
 from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.compare import unique_names
 from toolkit.cli.main import main
 from toolkit.evaluation.comparison import direction
-from toolkit.geometry import se3
 from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
 
 
@@ -120,15 +119,9 @@ def two_rooms(tmp_path_factory, tiny_run) -> tuple[Path, Path]:
     folder, layout = tmp_path_factory.mktemp("two"), LAYOUTS["room"]()
     kept = ("wall", "floor", "bed", "chair", "exercise-ball")
     before = [part for part in build_parts(layout, 0) if part.class_name in kept]
-    offset = se3.from_rotation_translation(np.eye(3), np.array([1.5, -0.6, 0.0]))
-    after = [
-        part.transformed(offset) if part.class_name == "chair" else part
-        for part in before
-        if part.class_name != "exercise-ball"
-    ]
     runs = [
         make_run(folder / name, layout, parts, spacing_m=0.04)
-        for name, parts in (("before", before), ("after", after))
+        for name, parts in (("before", before), ("after", changed(before)))
     ]
     for run in runs:
         shutil.copy(tiny_run / "metrics.json", run)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from layout_run import T_MAP_WORLD, layout_run, make_run
+from layout_run import T_MAP_WORLD, changed, layout_run, make_run
 
 from toolkit.exports.map_changes import changes_between
 from toolkit.exports.mapped_scene import MappedScene, map_scene
@@ -85,15 +85,9 @@ def test_paths_lead_through_the_corridor(scenes):
 def test_a_moved_and_a_removed_object_are_found(tmp_path):
     layout = LAYOUTS["room"]()
     parts = build_parts(layout, 0)
-    offset = se3.from_rotation_translation(np.eye(3), np.array([1.5, -0.6, 0.0]))
-    later = [
-        part.transformed(offset) if part.class_name == "chair" else part
-        for part in parts
-        if part.class_name != "exercise-ball"
-    ]
     before, after = (
         map_scene(select(make_run(Path(tmp_path / name), layout, content)), OPTIONS)
-        for name, content in (("before", parts), ("after", later))
+        for name, content in (("before", parts), ("after", changed(parts)))
     )
     found = changes_between(before, after, np.eye(4))
     assert {(c.kind, c.name) for c in found.changes} == {

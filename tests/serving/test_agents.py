@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from layout_run import CLASS_NAMES, T_MAP_WORLD, Taxonomy, make_run
+from layout_run import CLASS_NAMES, T_MAP_WORLD, Taxonomy, changed, make_run
 
 from toolkit.cli.main import main
 from toolkit.geometry import se3
@@ -45,14 +45,8 @@ def runs(tmp_path_factory) -> tuple[Path, Path]:
     taxonomy = Taxonomy({"things": names}, classes=names, name="rooms")
     layout, folder = LAYOUTS["room"](), tmp_path_factory.mktemp("rooms")
     parts = [part for part in build_parts(layout, 0) if part.class_name in KEPT]
-    offset = se3.from_rotation_translation(np.eye(3), np.array([1.5, -0.6, 0.0]))
-    later = [
-        part.transformed(offset) if part.class_name == "chair" else part
-        for part in parts
-        if part.class_name != "exercise-ball"
-    ]
     before = make_run(folder / "before", layout, parts, taxonomy, SPACING_M)
-    return before, make_run(folder / "after", layout, later, taxonomy, SPACING_M)
+    return before, make_run(folder / "after", layout, changed(parts), taxonomy, SPACING_M)
 
 
 @pytest.fixture(scope="module")

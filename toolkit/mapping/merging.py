@@ -99,8 +99,8 @@ def _numbers(*keys: NDArray) -> NDArray[np.int64]:
 
 def _is_mixed(cells: NDArray[np.int64], classes: NDArray) -> NDArray[np.bool_]:
     """Mask [N] of the Gaussians in cells with numbers [N] that contain several classes."""
-    pairs = np.unique(np.column_stack([cells, classes]), axis=0)
-    return np.asarray(np.bincount(pairs[:, 0])[cells] > 1)
+    first = np.unique(_numbers(cells, classes), return_index=True)[1]
+    return np.asarray(np.bincount(cells[first])[cells] > 1)
 
 
 def _merged(

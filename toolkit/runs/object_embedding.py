@@ -18,6 +18,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.object_embeddings import ObjectEmbeddings
 from toolkit.io.visualisation import colour_image
+from toolkit.keyframe import evenly_spaced
 from toolkit.rendering import backend, render_surface
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.labelled import LabelledRun
@@ -126,11 +127,9 @@ def find_views(
     run = labelled.run
     chosen = set(run.keyframes)
     frames = [frame for frame in run.tracked if frame.index in chosen and frame.index >= 0]
-    if len(frames) > max_keyframes:
-        spaced = np.linspace(0, len(frames) - 1, max_keyframes).round().astype(int)
-        frames = [frames[place] for place in spaced]
     found = []
-    for frame in tqdm(frames, "Keyframes", unit="frame", disable=None):
+    spaced = evenly_spaced(frames, max_keyframes)
+    for frame in tqdm(spaced, "Keyframes", unit="frame", disable=None):
         depth_m = _depth_m(run, frame)
         for number, item in enumerate(objects):
             points_m = labelled.map.means_m[item.index]

@@ -32,11 +32,10 @@ class Distance:
 
 def surface_distance(a_m: Array, b_m: Array) -> Distance:
     """Return the distance between two objects, given the centres [N, 3] of their Gaussians."""
-    distances, index = KDTree(b_m).query(a_m)
-    first = int(np.argmin(distances))
-    ends = np.stack([a_m[first], b_m[int(index[first])]])
+    distance_m, first, second = _nearest(a_m, b_m)
+    ends = np.stack([a_m[first], b_m[second]])
     middles = [(points.min(axis=0) + points.max(axis=0)) / 2 for points in (a_m, b_m)]
-    return Distance(float(distances[first]), ends, float(np.linalg.norm(middles[0] - middles[1])))
+    return Distance(distance_m, ends, float(np.linalg.norm(middles[0] - middles[1])))
 
 
 def free_width_m(
@@ -62,8 +61,13 @@ def free_width_m(
             return None
         low.append(kept)
     flat = [points_m @ ground.axes[:, :2] for points_m in low]
-    distances, index = KDTree(flat[1]).query(flat[0])
-    first = int(np.argmin(distances))
-    ends = (low[0][first], low[1][int(index[first])])
+    distance_m, first, second = _nearest(flat[0], flat[1])
     # No wider than the gap between the surfaces, which is finer than a cell.
-    return min(free_run_m(grid, ends), float(distances[first]))
+    return min(free_run_m(grid, (low[0][first], low[1][second])), distance_m)
+
+
+def _nearest(a: Array, b: Array) -> tuple[float, int, int]:
+    """Distance and indices of the nearest pair of points [N, D] and [M, D]."""
+    distances, index = KDTree(b).query(a)
+    first = int(np.argmin(distances))
+    return float(distances[first]), first, int(index[first])

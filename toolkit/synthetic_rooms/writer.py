@@ -62,22 +62,14 @@ def with_walker_masks(path: Path, views: Iterable[RayCastView]) -> Iterator[RayC
     """Write the walker's mask of each view that passes: 255 where it is visible, 0 elsewhere."""
     for index, view in enumerate(views):
         if view.walker is not None:
-            name = path / WALKER / f"walker{index:06d}.png"
-            try:
-                name.parent.mkdir(exist_ok=True)
-            except OSError as error:
-                raise DatasetError(f"cannot write {name.parent}: {error.strerror}") from error
-            _write_png(name, 255 * view.walker.astype(np.uint8))
+            folder = _made(path / WALKER)
+            _write_png(folder / f"walker{index:06d}.png", 255 * view.walker.astype(np.uint8))
         yield view
 
 
 def with_instances(path: Path, views: Iterable[RayCastView]) -> Iterator[RayCastView]:
     """Write the numbers of the objects in each view that passes, as 16-bit PNG files."""
-    folder = path / INSTANCES
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise DatasetError(f"cannot write {folder}: {error.strerror}") from error
+    folder = _made(path / INSTANCES)
     for index, view in enumerate(views):
         if view.objects is not None:
             _write_png(folder / f"instance{index:06d}.png", view.objects.astype(np.uint16))
@@ -86,11 +78,7 @@ def with_instances(path: Path, views: Iterable[RayCastView]) -> Iterator[RayCast
 
 def with_surfaces(path: Path, views: Iterable[RayCastView]) -> Iterator[RayCastView]:
     """Write the true depth and the finish of the surfaces of each view of a glossy room."""
-    folder = path / SURFACE
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise DatasetError(f"cannot write {folder}: {error.strerror}") from error
+    folder = _made(path / SURFACE)
     for index, view in enumerate(views):
         if view.reflection is not None:
             _write_png(folder / f"depth{index:06d}.png", _stored(view.reflection.surface_m))
@@ -146,6 +134,15 @@ def _intrinsics(camera: Camera) -> dict[str, float]:
         "w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy,
         "cx": camera.cx, "cy": camera.cy, "scale": DEPTH_SCALE,
     }  # fmt: skip
+
+
+def _made(folder: Path) -> Path:
+    """The folder, which is created if it is missing."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise DatasetError(f"cannot write {folder}: {error.strerror}") from error
+    return folder
 
 
 def _write_png(path: Path, image: NDArray) -> None:
