@@ -251,6 +251,22 @@ def test_a_blob_before_a_frame_between_keyframes_is_removed(room: MappedRoom):
     assert len(mapper.gaussians) > 0.9 * count
 
 
+def test_what_no_keyframe_measured_is_no_blob_to_any_frame_of_the_path():
+    # One on the far wall, one where nothing was measured, and one there that
+    # a frame passes at a quarter of a metre.
+    depth_m = np.full((30, 40), 4.0, np.float32)
+    depth_m[:, 20:] = 0.0
+    means = torch.tensor([[-0.5, 0.0, 4.0], [1.0, 0.5, 4.0], [1.0, -0.5, 4.0]])
+    evidence = Evidence.of(means, [DepthView.of(wall(depth_m=depth_m))])
+    radii_m = torch.full((3,), 0.03)
+    assert not evidence.contradicts_in_map(radii_m).any()
+    poses = np.stack([np.eye(4)] * 3)
+    poses[0, :3, 3], poses[1, :3, 3] = (1.0, -0.5, 3.75), (-0.5, 0.0, 3.75)
+    evidence.pass_by(means, CAMERA, poses)
+    assert evidence.contradicts_in_map(radii_m).tolist() == [False, False, True]
+    assert evidence.support.tolist() == [1, 0, 0]
+
+
 def test_points_belong_to_the_pixel_with_the_nearest_centre():
     pixels = np.array([[5.4, 10.4], [5.6, 10.4], [5.4, 10.6], [-0.4, 29.4], [39.4, -0.4]])
     outside = np.array([[-0.6, 3.0], [39.6, 3.0], [3.0, -0.6], [3.0, 29.6]])

@@ -46,6 +46,11 @@ class DepthImage:
         """The depth that a keyframe measured."""
         return cls(keyframe.camera, keyframe.measured_m.numpy())
 
+    @classmethod
+    def missing(cls, camera: Camera) -> DepthImage:
+        """An image that measured nothing, as of a frame that is not kept."""
+        return cls(camera, np.zeros((camera.height, camera.width), np.float32))
+
     @cached_property
     def empty_m(self) -> NDArray[np.float32]:
         """Depth [H, W] up to which space is empty; see `empty_depth`."""

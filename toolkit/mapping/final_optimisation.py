@@ -3,51 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from toolkit.geometry.open3d_bridge import open3d
 from toolkit.mapping.compared_views import ComparedViews
 from toolkit.mapping.optimisation import MapOptimisation, Objective
 from toolkit.mapping.options import MapperOptions
+from toolkit.mapping.surfaces import Surfaces
 from toolkit.submaps.submap import Submap
-
-# Number of neighbours that a plane is fitted to. With 32, walls and renderings are equally good.
-_NEIGHBOURS = 16
-
-
-@dataclass(frozen=True, eq=False)
-class Surfaces:
-    """A plane through each of N centres.
-
-    Attributes:
-        centres: [N, 3] in metres.
-        normals: [N, 3] unit normals of arbitrary sign; zero for unconstrained centres.
-    """
-
-    centres: Tensor
-    normals: Tensor
-
-    @classmethod
-    def of(cls, centres: Tensor) -> Surfaces:
-        """Fit planes to the neighbours of centres [N, 3]; too few centres are unconstrained."""
-        normals = torch.zeros_like(centres)
-        if len(centres) >= _NEIGHBOURS:
-            o3d = open3d()
-            points = o3d.utility.Vector3dVector(centres.cpu().double().numpy())
-            cloud = o3d.geometry.PointCloud(points)
-            cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NEIGHBOURS))
-            normals = torch.from_numpy(np.asarray(cloud.normals)).to(centres)
-        return cls(centres.clone(), normals)
-
-    def project(self, centres: Tensor) -> Tensor:
-        """Project moved centres [N, 3] onto their planes."""
-        distance = ((centres - self.centres) * self.normals).sum(dim=1, keepdim=True)
-        return centres - distance * self.normals
-
 
 # Step counts are limited to this number at the start of the refinement, which raises the learning
 # rates again: +0.7 dB of PSNR, and 0.15 mm of depth error, in a synthetic room.
@@ -102,8 +66,8 @@ def refine(
     total, surfaces = step_count(options, count), None
     if total:
         submap.gaussians = replace(submap.gaussians, centred_colours=False)
-    if options.final_on_surfaces and total and submap.gaussians.ellipsoids is None:
-        surfaces = Surfaces.of(submap.gaussians.means)
+    if options.final_on_surfaces and total:
+        surfaces = Surfaces.of(submap.gaussians)
     views = ComparedViews(submap.keyframes, submap.views, generator)
     for number in range(total):
         view = views.next()
@@ -112,8 +76,8 @@ def refine(
         loss = optimisation.step(submap, view, (number, total), objective)
         views.compared(view, loss)
         next(steps, None)
-        if surfaces is not None and (number + 1) % count == 0:
-            submap.move(surfaces.project(submap.gaussians.means))
+        if surfaces is not None:
+            submap.move(surfaces.keep(submap.gaussians.means))
     submap.views = []
     shapes = submap.gaussians.ellipsoids
     if shapes is not None:

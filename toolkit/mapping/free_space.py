@@ -25,7 +25,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.free_space import FREE_SPACE, FREE_SPACE_M, free_space_margin_m
 from toolkit.geometry.voxels import voxel_keys, voxels_of
 from toolkit.keyframe import Keyframe, evenly_spaced
-from toolkit.mapping.depth_views import MIN_DEPTH_M, DepthView, DepthViews
+from toolkit.mapping.depth_views import MIN_DEPTH_M, DepthImage, DepthView, DepthViews
 from toolkit.native import address, kernels_for
 
 Array = NDArray[np.float64]
@@ -38,8 +38,9 @@ _MAX_DROPPED = 0.2
 _MIN_THROUGH, _MIN_THROUGH_UNMEASURED, _MIN_RATIO = 1.0, 0.1, 0.33
 # Maximum number of keyframes compared while the map grows, spread over those of the submap.
 _VIEWS = 8
-# Maximum radius of Gaussians at such points, as an angle in any keyframe that shows them: ten times
-# that of a pixel of a usual camera.
+# Maximum radius of Gaussians at such points, as an angle in any frame that shows them: ten times
+# that of a pixel of a usual camera. A small one for a keyframe at four metres covered half a frame
+# that passed it at a quarter of a metre.
 _MAX_UNMEASURED_RAD = 0.03
 
 # Distance in metres in front of a camera within which it sees no surface: sensors do not measure
@@ -62,7 +63,7 @@ class Evidence:
     Attributes:
         through: [N] confidences of the keyframes that measured a surface behind the point.
         support: [N] number of the keyframes that measured a surface at the point.
-        nearest_m: [N] smallest depth of the point in a keyframe that shows it, or infinity.
+        nearest_m: [N] smallest depth of the point in a frame that shows it, or infinity.
     """
 
     through: Tensor
@@ -123,6 +124,19 @@ class Evidence:
         self.support.index_add_(0, chosen, near.to(means.dtype))
         self.nearest_m[chosen] = torch.minimum(self.nearest_m[chosen], z)
 
+    def pass_by(self, means: Tensor, camera: Camera, T_map_cameras: Array) -> None:
+        """Let frames without depth come near the points [N, 3] that no keyframe measured.
+
+        Args:
+            camera: intrinsics of all frames.
+            T_map_cameras: [P, 4, 4] poses of the frames.
+        """
+        unmeasured = (self.support == 0).nonzero().squeeze(1)
+        nothing, some = DepthImage.missing(camera), means.index_select(0, unmeasured)
+        passed = Evidence.of(some, (DepthView.at(T, nothing) for T in T_map_cameras))
+        nearest_m = self.nearest_m.index_select(0, unmeasured)
+        self.nearest_m[unmeasured] = torch.minimum(nearest_m, passed.nearest_m)
+
     def contradicts(self) -> Tensor:
         """Mask [N] of the points in empty space."""
         enough = self.through >= _MIN_THROUGH
@@ -178,9 +192,11 @@ def contradicted_by_all(
         keyframes: all those of the map.
         T_map_cameras: [P, 4, 4] poses of frames, in front of which space is empty, too.
     """
-    evidence = Evidence.of(gaussians.means, (DepthView.of(keyframe) for keyframe in keyframes))
+    means, camera = gaussians.means, keyframes[0].camera
+    evidence = Evidence.of(means, (DepthView.of(keyframe) for keyframe in keyframes))
+    evidence.pass_by(means, camera, T_map_cameras)
     mask = evidence.contradicts_in_map(gaussians.radii_m)
-    return mask | hides_view(gaussians.means, keyframes[0].camera, T_map_cameras)
+    return mask | hides_view(means, camera, T_map_cameras)
 
 
 class FreeSpace:

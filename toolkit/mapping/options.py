@@ -85,9 +85,9 @@ class MapperOptions:
     final_views: NonNegativeInt = 2
     """Maximum number of frames after each keyframe that the final refinement compares as well. They
     are stored compressed until then. 0: keyframes only, as in both papers."""
-    # Unconstrained, renderings gain 0.1 to 0.4 dB, but walls become a third thicker than unrefined.
+    # Without them, renderings gain 0.1 dB, but walls are four times as thick.
     final_on_surfaces: bool = True
-    """Constrain centres to their surfaces during the final refinement."""
+    """Let neighbours leave their surface only together during the final refinement."""
     # Ellipsoids are better on unseen views of seven recordings, with a third to half of the
     # Gaussians (benchmarks/results/final_shape.md).
     final_shape: Literal["ellipsoids", "spheres"] = "ellipsoids"
