@@ -55,6 +55,9 @@ def test_a_path_leads_straight_through_the_door():
     assert path.width_m >= 0.4
     legs = np.linalg.norm(np.diff(path.points_m, axis=0), axis=1)
     assert path.length_m == pytest.approx(legs.sum())
+    # Between two way points, a path may cross a room.
+    assert np.abs(np.diff(path.cells, axis=0)).max() == 1
+    np.testing.assert_allclose(where.points_of(path.cells[[0, -1]]), path.points_m[[0, -1]])
 
 
 def test_wide_bodies_keep_away_from_walls():

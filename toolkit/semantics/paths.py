@@ -52,12 +52,14 @@ class FreePath:
         length_m: length in metres.
         width_m: smallest free width on the way in metres.
         narrowest_m: [3] the way's narrowest place.
+        cells: [n, 2] all cells on the way, from start to goal.
     """
 
     points_m: Array
     length_m: float
     width_m: float
     narrowest_m: Array
+    cells: Cells
 
 
 class PathFinder:
@@ -201,9 +203,8 @@ class PathFinder:
         widths = self._width_m[tuple(along.T)]
         narrowest = along[[int(widths.argmin())]]
         steps = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
-        return FreePath(
-            points_m, float(steps.sum()), float(widths.min()), self._grid.points_of(narrowest)[0]
-        )
+        narrowest_m = self._grid.points_of(narrowest)[0]
+        return FreePath(points_m, float(steps.sum()), float(widths.min()), narrowest_m, along)
 
     def _narrow(self, start: Place, goal: Place, width_m: float) -> str:
         """Return the message where no path of some width exists."""

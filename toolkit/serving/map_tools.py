@@ -137,16 +137,16 @@ class MapTools:
             NoPathError: there is none; the message says how wide a path is.
         """
         path = self._paths.shortest(self._place(start), self._place(goal), width_m)
-        space = self._scene.space
-        rooms = space.rooms.numbers[tuple(space.grid.cells_of(path.points_m).T)]
-        passed = [int(k) + 1 for k, before in zip(rooms, [-1, *rooms], strict=False) if k != before]
+        rooms = self._scene.space.rooms.numbers[tuple(path.cells.T)]
+        inside = rooms[rooms >= 0]
+        passed = [int(k) + 1 for k, before in zip(inside, [-1, *inside], strict=False) if k != before]
         return {
             "length_m": round(path.length_m, 2),
             "free_width_m": round(path.width_m, 2),
             "narrowest_m": path.narrowest_m.round(3).tolist(),
             "way_points_m": path.points_m[:_MAX_POINTS].round(3).tolist(),
             "way_points": len(path.points_m),
-            "rooms": [k for k in passed if k > 0][:MAX_RESULTS],
+            "rooms": passed[:MAX_RESULTS],
         }
 
     def changes(self, first: int, limit: int) -> dict[str, Any]:
