@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.mapping import hidden_gaussians
 from toolkit.synthetic_rooms import tiny_room
 
 
@@ -26,3 +27,9 @@ def room() -> MappedRoom:
     frames, truth = tiny_room(12, 80, 60)
     T_map_world = se3.inverse(truth.T_world_camera[0])
     return MappedRoom(frames, T_map_world @ truth.T_world_camera)
+
+
+@pytest.fixture
+def hidden_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Finished maps keep the Gaussians that no keyframe shows."""
+    monkeypatch.setattr(hidden_gaussians, "_MIN_PIXELS", 0.0)

@@ -135,7 +135,7 @@ def test_images_of_depth_are_prepared_once_unless_a_keyframe_changes():
     assert views.of(wall(3.0)).image is not views.of(keyframe).image
 
 
-def test_a_ghost_of_one_keyframe_is_removed(room: MappedRoom):
+def test_a_ghost_of_one_keyframe_is_removed(room: MappedRoom, hidden_too):
     frames = list(room.frames[:4])
     ghost = frames[0].depth_m.copy()
     ghost[10:25, 10:25] *= 0.5

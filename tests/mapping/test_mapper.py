@@ -106,7 +106,7 @@ def test_learning_rates_fall_during_refinement(room, centred, monkeypatch):
         assert set(factors) == {1.0}
 
 
-def test_refinement_leaves_centres_on_their_surfaces(room):
+def test_refinement_leaves_centres_on_their_surfaces(room, hidden_too):
     moved = {}
     for stays in (True, False):
         options = replace(FEW, final_iterations=4, final_on_surfaces=stays, final_shape="spheres")
@@ -321,7 +321,7 @@ class TestPapersRefinement:
         assert not np.array_equal(before[1], after[1])
         assert np.abs(before[1] - after[1]).max() < 0.01
 
-    def test_the_feature_term_brings_descriptions_nearer(self, room):
+    def test_the_feature_term_brings_descriptions_nearer(self, room, hidden_too):
         encoder, distance = BuiltinEncoder(), {}
         for weight in (0.0, 2.0):
             options = replace(FEW, final_iterations=8, final_feature=weight, final_shape="spheres")

@@ -28,6 +28,7 @@ from toolkit.mapping.depth_fusion import fuse_depth
 from toolkit.mapping.effort import Effort
 from toolkit.mapping.final_optimisation import refine
 from toolkit.mapping.free_space import FreeSpace, contradicted_by_all, is_measured
+from toolkit.mapping.hidden_gaussians import hidden
 from toolkit.mapping.hole_filling import fill_all_holes
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
 from toolkit.mapping.keyframes import KeyframeChoice, choose_window, wants_view
@@ -304,6 +305,8 @@ class Mapper:
             to_ellipsoids(submap, classes, self.options.final_harmonics)
         refine(submap, self._optimisation, self.options, self._generator, steps, merge)
         self._clear_free_space(submap, T_map_cameras)
+        if self.options.final_iterations:
+            _remove(submap, hidden(submap.gaussians, submap.keyframes, self._backend))
         self.densification.prune(submap)
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:

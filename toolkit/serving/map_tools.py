@@ -9,6 +9,7 @@ import html
 import re
 from collections import Counter
 from functools import cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -138,8 +139,7 @@ class MapTools:
         """
         path = self._paths.shortest(self._place(start), self._place(goal), width_m)
         rooms = self._scene.space.rooms.numbers[tuple(path.cells.T)]
-        inside = rooms[rooms >= 0]
-        passed = [int(k) + 1 for k, before in zip(inside, [-1, *inside], strict=False) if k != before]
+        passed = [int(room) + 1 for room, _ in groupby(rooms[rooms >= 0])]
         return {
             "length_m": round(path.length_m, 2),
             "free_width_m": round(path.width_m, 2),
