@@ -107,8 +107,9 @@ def _numbered(
             tracker.objects[n].views,
             tracker.objects[n].first,
             tracker.objects[n].last,
-            tracker.objects[n].direction,
+            tracker.objects[n].embeddings.fused(),
         )
         for n in order
     ]
-    return InstanceMap(found, {number: table[part] for number, part in ids.items()})
+    model = "" if tracker.embedded is None else tracker.embedded[1]
+    return InstanceMap(found, {number: table[part] for number, part in ids.items()}, model)

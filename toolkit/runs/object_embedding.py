@@ -117,7 +117,7 @@ def embed_objects(
             fused[number] = found
     hidden = len(objects) - len(fused)
     _log.info("Embedded %d objects from %d views; %d are hidden.", len(fused), len(views), hidden)
-    return _collected(objects, fused, encoder.name)
+    return collected(objects, fused, encoder.name)
 
 
 def find_views(
@@ -218,11 +218,13 @@ def _embedded(
     return np.concatenate(found)
 
 
-def _collected(
+def collected(
     objects: Sequence[SceneObject], fused: dict[int, FusedEmbedding], model: str
 ) -> ObjectEmbeddings:
+    """Return objects with embeddings, by their numbers in a sequence of objects."""
     nodes = [objects[number].node for number in fused]
     centres_m = [objects[number].box.centre_m for number in fused]
+    instances = np.array([objects[number].instance for number in fused], np.int32)
     return ObjectEmbeddings(
         np.array(list(fused), np.int32),
         np.array([node.class_ids[0] if node.leaf else VOID for node in nodes], np.int32),
@@ -230,4 +232,5 @@ def _collected(
         np.array([found.weight for found in fused.values()], np.float32),
         model,
         np.array(centres_m, np.float32).reshape(-1, 3),
+        instances if instances.any() else None,
     )
