@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_semantic_runs import QUICK, error_of
+from tiny_mask_models import CLASSES, save_mask2former
 
 from toolkit.cli.main import main
 from toolkit.datasets.options import DatasetOptions
@@ -191,6 +192,24 @@ def test_objects_of_a_map_without_labels_have_embeddings_too(
     assert best["id"] == best["instance"]
     assert best["id"] in ids
     assert best["similarity"] > 0.99
+
+
+def test_a_model_yields_the_masks_of_a_run(room, tmp_path, capsys):
+    pytest.importorskip("transformers")
+    model, out = save_mask2former(tmp_path / "model"), tmp_path / "run"
+    options = ["--instances.kind", "model", "--instances.model.folder", model]
+    words = arguments(room, out, *options, "--instances.model.min-score", "0")
+    assert main(words) == 0
+    objects = json.loads((out / "objects.json").read_text())["objects"]
+    assert objects
+    assert {one["class"] for one in objects} <= set(CLASSES.values())
+    capsys.readouterr()
+    (model / "preprocessor_config.json").unlink()
+    second = tmp_path / "second"
+    assert "has no preprocessor_config.json" in error_of(
+        capsys, *[second if word == str(out) else word for word in words]
+    )
+    assert not second.exists()
 
 
 def test_an_interrupted_run_resumes_to_the_same_objects(room, tmp_path):

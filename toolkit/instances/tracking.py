@@ -98,7 +98,7 @@ class InstanceTracker:
         overlaps = Overlaps.of(seen, votes, rows, len(masks))
         classes = self._classes(masks, ids, keyframe, step)
         association = associate(overlaps, masks, classes, self.objects)
-        areas = np.bincount(ids.reshape(-1), minlength=len(masks) + 1)[1:] * step**2
+        areas = np.bincount(ids.reshape(-1), minlength=len(masks) + 1)[1:] * float(step**2)
         found = self._objects_of(association, overlaps, submap, keyframe.index)
         weights = view_weights(areas, seen.distances(len(masks)), masks.scores)
         for k in np.flatnonzero(found):

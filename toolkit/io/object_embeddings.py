@@ -85,8 +85,8 @@ class ObjectEmbeddings:
 
     def __post_init__(self) -> None:
         count = len(self.ids)
-        shapes = dict.fromkeys(("class_ids", "weights", "instances"), (count,))
-        shapes |= {"centres_m": (count, 3)}
+        shapes: dict[str, tuple[int, ...]] = {"centres_m": (count, 3)}
+        shapes |= dict.fromkeys(("class_ids", "weights", "instances"), (count,))
         for name, shape in shapes.items():
             array = getattr(self, name)
             if array is not None and array.shape != shape:
