@@ -20,6 +20,7 @@ _TINY = ("--image-size", "120", "90", "--sensor-noise")
 ROOMS: dict[str, tuple[str, ...]] = {
     "room": (),
     "room-noise": ("--sensor-noise",),
+    "room-objects": ("--frames", "120", "--sensor-noise"),
     "room-instances": ("--frames", "90", *_SMALL),
     "room-walker": ("--walker",),
     "room-real": ("--real",),

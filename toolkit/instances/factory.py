@@ -18,13 +18,15 @@ def build_instances(
     options: InstanceOptions,
     class_names: Mapping[int, str] | None = None,
     stems: Sequence[str] | None = None,
+    continues: bool = False,
 ) -> InstanceTracker | None:
-    """Build what tracks objects; None if instances are off.
+    """Build what tracks objects; None if instances are off, and no map is loaded.
 
     Args:
         options: of instances.
         class_names: names of the class ids of the run's labels; None without labels.
         stems: names of the frames' images without suffix, by frame index.
+        continues: the run continues a finished map, whose objects are kept without masks too.
 
     Raises:
         SettingsError: an option is missing, or has no effect.
@@ -43,7 +45,7 @@ def build_instances(
             "--instances.kind folder, or remove it"
         )
     if options.kind == "none":
-        return None
+        return InstanceTracker(options, None) if continues else None
     return InstanceTracker(options, _source(options, stems), class_names)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import takewhile
 from typing import Any
 
@@ -17,11 +18,17 @@ from toolkit.instances.masks import InstanceMasks, MaskSource
 from toolkit.instances.objects import TrackedObject
 from toolkit.instances.options import InstanceOptions
 from toolkit.instances.records import KeyframeMasks, records_state, restored_records
+from toolkit.instances.saved import SavedObjects
 from toolkit.instances.voxels import MaskedVoxels, VoxelVotes, sampling_step
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.embedding_fusion import view_weights
 
+# Number of the submap of loaded objects, which belong to all submaps of their map.
+SAVED = -1
+# Area of loaded objects: they keep their numbers and classes if they are joined with others.
+_SAVED_AREA = 1e12
+_SAVED_ARRAYS = ("points_m", "ids", "submap")
 # Minimum number of voxels of a mask that starts an object, and of an object that is evidence.
 _MIN_VOXELS, _MIN_VISIBLE = 3, 4
 # Objects seen this often keep their voxels below a mask that covers several objects.
@@ -37,11 +44,12 @@ class InstanceTracker:
 
     Args:
         options: size of voxels and of objects.
-        source: yields the masks of keyframes.
+        source: yields the masks of keyframes; None to keep the objects of a loaded map only.
         class_names: names of the class ids of keyframes, for masks without a class.
 
     Attributes:
-        source: yields the masks.
+        source: yields the masks, or None.
+        saved: Gaussians of a loaded map with their objects, or None.
         objects: objects by number.
         records: the masks of all keyframes, in order.
         evidence: which objects are one, and which are not.
@@ -52,7 +60,7 @@ class InstanceTracker:
     def __init__(
         self,
         options: InstanceOptions,
-        source: MaskSource,
+        source: MaskSource | None,
         class_names: Mapping[int, str] | None = None,
     ) -> None:
         self.options = options
@@ -61,10 +69,37 @@ class InstanceTracker:
         self.evidence = PairEvidence()
         self.merged: dict[int, int] = {}
         self.embedded: tuple[int, str] | None = None
+        self.saved: SavedObjects | None = None
         self.source, self._class_names = source, class_names or {}
         self._votes: dict[int, VoxelVotes] = {}
         self._seen: set[tuple[int, int]] = set()
         self._next = 1
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether there are neither masks nor objects of a loaded map."""
+        return self.source is None and self.saved is None
+
+    def load(self, saved: SavedObjects, offset: int) -> None:
+        """Load the objects of an earlier map, before the first keyframe; they keep their numbers.
+
+        Args:
+            saved: the objects.
+            offset: added to their frame indices.
+        """
+        # What is needed from the objects moves to the tracked ones, which may be joined.
+        self.saved = replace(saved, objects=[])
+        for one in saved.objects:
+            first, last = one.first + offset, one.last + offset
+            found = TrackedObject(one.number, SAVED, first, last, one.views, _SAVED_AREA)
+            found.score = one.score * one.views
+            if one.class_name is not None:
+                found.classes = {one.class_name: _SAVED_AREA}
+            if one.embedding is not None:
+                found.embeddings.add(first, one.embedding.weight, one.embedding.embedding)
+                self.embedded = (len(one.embedding.embedding), saved.model)
+            self.objects[one.number] = found
+            self._next = max(self._next, one.number + 1)
 
     def update(self, submap: int, keyframes: Sequence[Keyframe]) -> None:
         """Associate the masks of the newest keyframes of a submap with its objects.
@@ -77,13 +112,14 @@ class InstanceTracker:
         Raises:
             DatasetError: the masks of a frame are invalid.
         """
+        if self.source is None:
+            return
         new = list(takewhile(lambda k: (submap, k.index) not in self._seen, reversed(keyframes)))
         for keyframe in reversed(new):
             self._seen.add((submap, keyframe.index))
-            self._add(submap, keyframe)
+            self._add(submap, keyframe, self.source.masks(keyframe))
 
-    def _add(self, submap: int, keyframe: Keyframe) -> None:
-        masks = self.source.masks(keyframe)
+    def _add(self, submap: int, keyframe: Keyframe, masks: InstanceMasks | None) -> None:
         if masks is None or not len(masks):
             return
         masks = _limited(masks)
@@ -225,6 +261,8 @@ class InstanceTracker:
             "seen": np.array(sorted(self._seen), np.int64).reshape(-1, 2),
             "embeddings": np.concatenate([np.zeros(0, np.float16), *vectors]),
         }
+        if self.saved is not None:
+            arrays |= {f"saved/{name}": getattr(self.saved, name) for name in _SAVED_ARRAYS}
         values = {
             "objects": [one.values() for one in objects],
             "views": [one.embeddings.values() for one in objects],
@@ -242,6 +280,10 @@ class InstanceTracker:
         for submap in values["submaps"]:
             self._votes[submap] = VoxelVotes(self.options.voxel_m)
             self._votes[submap].restore(arrays_below(arrays, f"votes/{submap}/"))
+        saved = arrays_below(arrays, "saved/")
+        self.saved = None
+        if saved:
+            self.saved = SavedObjects([], *(np.array(saved[name]) for name in _SAVED_ARRAYS))
         self.evidence.restore(arrays["evidence"])
         self._seen = {(int(submap), int(index)) for submap, index in arrays["seen"]}
         self.merged = {int(a): int(b) for a, b in values["merged"]}

@@ -66,11 +66,18 @@ class GaussianVotes:
         means: [N, 3] centres in the world.
         votes: objects by voxel in the world.
         objects: number of objects M.
+        known: [N] objects of the Gaussians without votes; by default, those of their voxels.
     """
 
-    def __init__(self, means: Array, votes: VoxelVotes, objects: int) -> None:
+    def __init__(
+        self,
+        means: Array,
+        votes: VoxelVotes,
+        objects: int,
+        known: NDArray[np.int32] | None = None,
+    ) -> None:
         self._means, self._votes, self._objects = means, votes, objects
-        self._owner = votes.owner_at(means)
+        self._owner = votes.owner_at(means) if known is None else known
         self._cells: list[NDArray[np.int64]] = []
         self._counts: list[NDArray[np.int64]] = []
         self._pending = 0
