@@ -124,13 +124,14 @@ def joined(first: SavedObjects, second: SavedObjects, T_first_second: Array) -> 
         number = int(table[one.number]) or max(found, default=0) + 1
         table[one.number] = number
         found[number] = _both(found.get(number), replace(one, number=number))
-    same = first.model == second.model
+    models = {one.model for one in (first, second) if any(o.embedding for o in one.objects)}
+    same = len(models) <= 1
     return SavedObjects(
         [one if same else replace(one, embedding=None) for _, one in sorted(found.items())],
         np.concatenate([first.points_m, moved.points_m]),
         np.concatenate([first.ids, table[second.ids]]),
         np.concatenate([first.submap, second.submap]),
-        first.model if same else "",
+        "".join(models) if same else "",
     )
 
 

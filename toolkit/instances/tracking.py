@@ -283,7 +283,8 @@ class InstanceTracker:
         saved = arrays_below(arrays, "saved/")
         self.saved = None
         if saved:
-            self.saved = SavedObjects([], *(np.array(saved[name]) for name in _SAVED_ARRAYS))
+            points_m, ids, own = (np.array(saved[name]) for name in _SAVED_ARRAYS)
+            self.saved = SavedObjects([], points_m, ids, own)
         self.evidence.restore(arrays["evidence"])
         self._seen = {(int(submap), int(index)) for submap, index in arrays["seen"]}
         self.merged = {int(a): int(b) for a, b in values["merged"]}

@@ -120,14 +120,11 @@ def _instances(
     a, b = (load_objects(run.folder) for run in runs)
     if b is not None:
         b = replace(b, submap=b.submap + np.int32(first_b))
-    none = np.zeros(0, np.int32)
-    empty = SavedObjects([], np.zeros((0, 3)), none, none)
     if a is None and b is None:
         return None
-    if a is None or b is None:
-        model = (a or b or empty).model
-        a, b = (replace(one or empty, model=model) for one in (a, b))
-    objects = joined(a, b, T_a_b)
+    none = np.zeros(0, np.int32)
+    empty = SavedObjects([], np.zeros((0, 3)), none, none)
+    objects = joined(a or empty, b or empty, T_a_b)
     parts = zip(fused.numbers, fused.parts(), strict=True)
     return objects.carried({n: objects.of(n, p.means.double().numpy()) for n, p in parts})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,13 @@ from toolkit.io.splats import read_splats
 from toolkit.runs.folder import RunFolder
 from toolkit.semantics.embedding_fusion import FusedEmbedding
 
+_log = logging.getLogger(__name__)
+
 
 def load_objects(folder: RunFolder) -> SavedObjects | None:
     """Read the objects of a map and those of its Gaussians; None for a map without instances.
+
+    A map that another program has written without their column loses them, with a warning.
 
     Raises:
         FormatError: a file is damaged, or they do not belong together.
@@ -28,10 +33,12 @@ def load_objects(folder: RunFolder) -> SavedObjects | None:
     splats = read_splats(folder.map)
     ids, submap = instances_in(splats.extra), splats.extra.get("submap")
     if ids is None or submap is None:
-        raise FormatError(
-            f"{folder.map} has no columns instance and submap, but {folder.objects} lists objects; "
-            "delete it, or restore the map"
+        _log.warning(
+            "%s has no columns instance and submap; the objects of %s are not kept.",
+            folder.map,
+            folder.objects,
         )
+        return None
     embedded = read_objects(folder.embeddings) if folder.embeddings.is_file() else None
     embeddings = _by_instance(embedded)
     try:

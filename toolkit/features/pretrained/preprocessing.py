@@ -61,15 +61,15 @@ class ImagePreprocessing:
                 tuple(float(v) for v in values.get(name, default))
                 for name, default in (("image_mean", IMAGENET_MEAN), ("image_std", IMAGENET_STD))
             )
-            names = ("height", "width", "shortest_edge", "longest_edge")
-            lengths = [_length(size, name) for name in names]
+            height, width = (_length(size, name) for name in ("height", "width"))
+            shortest, longest = (_length(size, f"{side}_edge") for side in ("shortest", "longest"))
         except (OSError, ValueError, TypeError, AttributeError) as error:
             raise FormatError(f"{file} cannot be read ({error}); download it again") from error
         if len(mean) != 3 or len(std) != 3 or min(std) <= 0:
             raise FormatError(f"{file}: image_mean and image_std must be three numbers each")
-        if (lengths[0] is None) != (lengths[1] is None):
+        if (height is None) != (width is None):
             raise FormatError(f"{file}: size needs both height and width; download it again")
-        return cls(*lengths, mean, std)
+        return cls(height, width, shortest, longest, mean, std)
 
     def size_of(self, height: int, width: int) -> tuple[int, int]:
         """Height and width to which an image is scaled."""
