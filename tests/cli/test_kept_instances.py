@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.spatial import cKDTree
 from test_semantic_runs import error_of
 
 from toolkit.cli.main import main
-from toolkit.io.object_embeddings import read_objects
+from toolkit.io.object_embeddings import read_objects, write_objects
 from toolkit.io.splats import read_splats
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.saved_objects import load_objects
@@ -65,7 +66,7 @@ def objects_of(run: Path) -> dict[int, dict]:
     return found
 
 
-def share_kept(before: Path, after: Path, numbers: dict[int, int] | None = None) -> float:
+def share_kept(before: Path, after: Path) -> float:
     """Share of the Gaussians near those of an earlier map that have the object of the nearest."""
     old, new = (read_splats(run / "map.ply") for run in (before, after))
     distance, nearest = cKDTree(old.means).query(new.means)
@@ -132,6 +133,16 @@ def test_a_refined_map_keeps_its_objects(walks, tmp_path):
     kept = new.extra["instance"] == old.extra["instance"][nearest]
     assert kept.mean() > 0.95
     assert read_objects(out / "objects.npz").model == "clip 1"
+
+
+def test_embeddings_of_an_unnamed_model_can_be_continued(walks, tmp_path):
+    run = RunFolder(shutil.copytree(walks[0], tmp_path / "a"))
+    vectors = read_objects(run.embeddings)
+    write_objects(run.embeddings, replace(vectors, model="masks"))
+    saved = load_objects(run)
+    assert saved is not None
+    assert saved.model == ""
+    assert all(one.embedding is not None for one in saved.objects)
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from toolkit.semantics.embedding_fusion import FusedEmbedding
 from toolkit.semantics.query import LabelledMap, ObjectOptions
 from toolkit.semantics.taxonomy import VOID, Taxonomy
 
-# Name of the model if the masks do not name it.
-_UNNAMED = "masks"
+# Name of the model in `objects.npz` if the masks do not name it.
+UNNAMED = "masks"
 
 
 def write_instances(instances: InstanceMap, folder: RunFolder, taxonomy: Taxonomy | None) -> None:
@@ -48,7 +48,7 @@ def mask_embeddings(
     fused = {one.number: one.embedding for one in instances.objects if one.embedding is not None}
     if not fused:
         return None
-    splats, model = read_splats(folder.map), instances.model or _UNNAMED
+    splats, model = read_splats(folder.map), instances.model or UNNAMED
     labels = splats.labels
     if labels is None or taxonomy is None:
         return _unlabelled(splats, fused, model)

@@ -15,6 +15,7 @@ from toolkit.io.object_embeddings import ObjectEmbeddings, read_objects
 from toolkit.io.splat_labels import instances_in
 from toolkit.io.splats import read_splats
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.instance_files import UNNAMED
 from toolkit.semantics.embedding_fusion import FusedEmbedding
 
 _log = logging.getLogger(__name__)
@@ -55,6 +56,7 @@ def load_objects(folder: RunFolder) -> SavedObjects | None:
         )
     means_m = splats.means.astype(np.float64)
     model = embedded.model if embedded is not None and embeddings else ""
+    model = "" if model == UNNAMED else model
     return SavedObjects(objects, means_m, ids, submap.astype(np.int32), model)
 
 
