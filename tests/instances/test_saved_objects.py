@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from panels import Scripted, keyframe, panel_image
@@ -53,6 +55,16 @@ def test_carried_objects_are_counted_anew_and_those_without_gaussians_are_gone()
         (5, 8, "table")
     ]
     assert found.model == "a"
+
+
+def test_objects_of_separate_parts_remain_where_these_do():
+    saved = panels((3, 5))
+    alone = MapObject(9, "lamp", 40, 0.5, 4, 3, 9)
+    saved = replace(saved, objects=[*saved.objects, alone])
+    ids = {0: np.full(7, 5, np.int32)}
+    numbers = [one.number for one in saved.carried(ids, separate_parts=True).objects]
+    assert numbers == [5, 9]
+    assert [one.number for one in saved.carried(ids).objects] == [5]
 
 
 @pytest.mark.parametrize("shift_m", [0.0, 40.0])

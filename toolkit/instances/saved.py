@@ -81,20 +81,26 @@ class SavedObjects:
         votes.add(keys[first], ids[first].astype(np.int32))
         return votes
 
-    def carried(self, ids: Mapping[int, NDArray[np.int32]]) -> InstanceMap:
+    def carried(
+        self, ids: Mapping[int, NDArray[np.int32]], separate_parts: bool = False
+    ) -> InstanceMap:
         """Return the objects that a later map has, with their new numbers of Gaussians.
 
         Args:
             ids: objects of the Gaussians of each submap.
+            separate_parts: the parts of the map beside the main one remain as they are: keep the
+                objects that no Gaussian of the main part had.
         """
         counts = np.zeros(max([o.number for o in self.objects], default=0) + 1, np.int64)
         for part in ids.values():
             counts += np.bincount(part, minlength=len(counts))
-        objects = [
-            replace(one, gaussians=int(counts[one.number]))
-            for one in self.objects
-            if counts[one.number]
-        ]
+        here = set(np.unique(self.ids).tolist())
+        objects = []
+        for one in self.objects:
+            if counts[one.number]:
+                objects.append(replace(one, gaussians=int(counts[one.number])))
+            elif separate_parts and one.number not in here:
+                objects.append(one)
         return InstanceMap(objects, dict(ids), self.model)
 
 

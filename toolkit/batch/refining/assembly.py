@@ -126,7 +126,7 @@ def _instances(source: StoredMap, refined: StoredMap, fused: FusedMap) -> Instan
         )
         means_m = source.unit.cloud_in_metres(part).means.double().numpy()
         ids[number] = saved.of(number, means_m, T_old @ se3.inverse(T_new))
-    return saved.carried(ids)
+    return saved.carried(ids, separate_parts=True)
 
 
 def _fused(source: StoredMap) -> FusedMap:
