@@ -8,17 +8,20 @@ All rows of a sequence see the same keyframes of one run; the map is the same.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from benchmarks.instance_costs import COST_COLUMNS, COST_NOTE, COST_TITLE, measure_costs
 from benchmarks.instance_masks import Faults, TrueMasks
 from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
-from benchmarks.tables import Metrics, Rows, table_of
+from benchmarks.tables import MISSING, Metrics, Rows, Table, table_of
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.instances import instance_scores
@@ -42,7 +45,10 @@ from toolkit.slam.system import Slam
 
 # Name of a sequence: its dataset, number of frames and image size.
 SEQUENCES = ("room", "office0", "ring")
-ROOMS = {"room": "room-objects", "ring": "ring-small"}
+ROOMS = {"room": "room-instances", "ring": "ring-small"}
+COSTS = "time and memory"
+# Number of seeds of the sequences that are not measured with all of them.
+FEWER_SEEDS = {"office0": 1, "ring": 1, COSTS: 1}
 FAULTS = {
     "true masks": Faults(),
     "20 % dropped": Faults(dropped=0.2),
@@ -52,26 +58,33 @@ FAULTS = {
     "all faults": Faults(0.2, 0.15, 0.15, 2),
     "all faults, embeddings": Faults(0.2, 0.15, 0.15, 2, embedded=0.5),
 }
+# Minimum number of sampled pixels of a true object with a mask, in a keyframe that shows it.
+_MIN_SHOWN = 12
 COMPONENTS, GEOMETRIC, UNLABELLED = "components of classes", "geometric", "geometric, no classes"
-COLUMNS = ("pq", "ap25", "ap50", "predicted", "true", "split", "merged", "ms_per_keyframe")
+ERRORS = ("split", "merged", "switches")
+COLUMNS = ("pq", "ap25", "ap50", "predicted", "true", *ERRORS, "ms_per_keyframe")
 DESCRIPTION = """\
 Every Gaussian of the map has the instance that most true instance images show at its place; its
 predicted object is compared with that. Scores do not depend on classes. "Components of classes"
 are the objects of a map without instances: DBSCAN on the Gaussians of each class. Other rows use
 true masks whose numbers restart in every frame, with the faults that the row names, or masks from
 depth, colour and class labels. Split: true objects of which several predicted ones show a part;
-merged: predicted objects with most of several true ones. The time is that of association per
-keyframe, without the source of the masks.
+merged: predicted objects with most of several true ones; switches: how often the object of the
+masks of a true object changes from one keyframe that shows it to the next one, after the end of the
+run has joined objects. The time is that of association per
+keyframe (of the processor), without the source of the masks.
 
-room is a synthetic room of 120 frames with sensor noise (320x240), office0 51 views of Replica
-(300x170, given poses), ring four rooms with a loop (450 frames, 160x120, sensor noise)."""
+room is a synthetic room of 90 frames with sensor noise (160x120) with as many seeds as listed,
+office0 51 views of Replica (300x170, given poses), and ring four rooms with a loop (450 frames,
+160x120, sensor noise; one seed). A seed changes the furniture, the camera's sway, the noise and
+the faults of the masks."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(ReportOptions):
     """Measure instances."""
 
-    seeds: int = 1
+    seeds: int = 5
     """Seeds 0, 1, ... of the synthetic rooms; a row is their median."""
 
 
@@ -79,17 +92,48 @@ def main(options: Options) -> None:
     """Measure all rows and write the results."""
     title = "Instances"
     report = Report("instances", title, DESCRIPTION, options, range(options.seeds))
-    found = report.measured({name: name for name in SEQUENCES}, measure)
-    rows: Rows = {
-        f"{name}, {variant}": [run[variant] for run in runs]
+    jobs = (*SEQUENCES, COSTS)
+    found = report.measured({name: name for name in jobs}, measure)
+    rows = _rows({name: runs for name, runs in found.items() if name != COSTS})
+    costs = _rows({"room at 320x240": found.get(COSTS, [])})
+    report.write(
+        table_of(COLUMNS, rows),
+        _ranges({name: runs for name, runs in rows.items() if len(runs) > 1}),
+        replace(table_of(COST_COLUMNS, costs, title=COST_TITLE), note=COST_NOTE),
+    )
+
+
+def _rows(found: Rows) -> Rows:
+    """The metrics of each row of each sequence, of the seeds with which it was measured."""
+    return {
+        f"{name}, {variant}": [run[variant] for run in runs if run]
         for name, runs in found.items()
-        for variant in runs[0]
+        for variant in (runs[0] if runs else ())
     }
-    report.write(table_of(COLUMNS, rows))
+
+
+def _ranges(rows: Rows) -> Table:
+    """The lowest and the highest value over the seeds."""
+    columns = ("pq", "ap50", *ERRORS)
+
+    def cell(runs: list[Metrics], column: str) -> str:
+        values = [run[column] for run in runs if run.get(column) is not None]
+        return f"{min(values):.4g} to {max(values):.4g}" if values else MISSING
+
+    lines = tuple((n, *(cell(list(runs), c) for c in columns)) for n, runs in rows.items())
+    return Table(("", *columns), lines, "Lowest to highest value over the seeds")
 
 
 def measure(name: str, seed: int) -> Metrics:
-    """Metrics of all rows of a sequence, by row."""
+    """Metrics of all rows of a sequence, by row; none for a seed beyond those of the sequence."""
+    if seed >= FEWER_SEEDS.get(name, seed + 1):
+        return {}
+    if name == COSTS:
+        return dict(measure_costs(room("room-objects", seed), seed))
+    return _scored(name, seed)
+
+
+def _scored(name: str, seed: int) -> Metrics:
     settings, folder = _settings(name, seed)
     assert settings.dataset.path is not None
     dataset = open_dataset(settings.dataset.kind, settings.dataset.path, settings.image_size)
@@ -108,22 +152,27 @@ def measure(name: str, seed: int) -> Metrics:
         for row, source in sources.items()
     }
     spent = dict.fromkeys(trackers, 0.0)
+    shown: dict[int, NDArray[np.int32]] = {}
     for index in range(len(dataset)):
         slam.process_frame(dataset[index])
+        for keyframe in slam.atlas.keyframes[-1:]:
+            step = sampling_step(keyframe.camera.width)
+            shown[keyframe.index] = truth.truth(keyframe)[::step, ::step]
         for row, tracker in trackers.items():
-            begin = time.perf_counter()
+            begin = time.process_time()
             tracker.update(slam.atlas.active, slam.atlas.keyframes)
-            spent[row] += time.perf_counter() - begin
+            spent[row] += time.process_time() - begin
     result = slam.finish()
     assert isinstance(result.map, FusedMap)
     true = _true_instances(slam, result.map, truth)
-    scored = {COMPONENTS: _scores(_components(result), true)}
+    scored = {COMPONENTS: _scores(_components(result), true) | {"switches": None}}
     for row, tracker in trackers.items():
         source = tracker.source
         assert isinstance(source, _Timed)
         keyframes = max(len(tracker.records), 1)
         instances = finish_instances(tracker, slam.atlas, [result.map])
         scored[row] = _scores(_joined(instances, result.map), true)
+        scored[row]["switches"] = _switches(tracker, shown)
         scored[row]["ms_per_keyframe"] = 1000.0 * (spent[row] - source.spent_s) / keyframes
     return scored
 
@@ -136,9 +185,9 @@ class _Timed:
 
     def masks(self, keyframe: Keyframe) -> InstanceMasks | None:
         """The masks of the source."""
-        begin = time.perf_counter()
+        begin = time.process_time()
         masks = self._source.masks(keyframe)
-        self.spent_s += time.perf_counter() - begin
+        self.spent_s += time.process_time() - begin
         return masks
 
 
@@ -171,6 +220,25 @@ def _true_instances(slam: Slam, fused: FusedMap, truth: TrueMasks) -> NDArray[np
             votes.add(MaskedKeyframe(keyframe, pose, record, numbers))
         found.append(votes.winners(fill=False))
     return np.concatenate(found)
+
+
+def _switches(tracker: InstanceTracker, shown: Mapping[int, NDArray[np.int32]]) -> int:
+    """Number of times that the object of the masks of a true object changes between keyframes.
+
+    Args:
+        tracker: after the end of the run.
+        shown: true instances of the sampled pixels of each keyframe.
+    """
+    table, seen = tracker.table(), dict[int, list[int]]()
+    for record in tracker.records:
+        found = np.concatenate([[0], table[record.objects]])[record.ids]
+        true = shown[record.index]
+        for number in np.unique(true[true > 0]):
+            own = found[true == number]
+            own = own[own > 0]
+            if len(own) >= _MIN_SHOWN:
+                seen.setdefault(int(number), []).append(int(np.bincount(own).argmax()))
+    return sum(a != b for objects in seen.values() for a, b in pairwise(objects))
 
 
 def _components(result: SlamResult) -> NDArray[np.int32]:

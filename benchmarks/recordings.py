@@ -21,6 +21,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "room": (),
     "room-noise": ("--sensor-noise",),
     "room-objects": ("--frames", "120", "--sensor-noise"),
+    "room-instances": ("--frames", "90", *_SMALL),
     "room-walker": ("--walker",),
     "room-real": ("--real",),
     "room-small": ("--frames", "200", *_SMALL),

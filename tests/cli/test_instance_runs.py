@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from test_semantic_runs import QUICK, error_of
+from tiny_mask_models import CLASSES, save_mask2former
 
 from toolkit.cli.main import main
 from toolkit.datasets.options import DatasetOptions
@@ -125,6 +127,89 @@ def test_exported_maps_have_their_objects_beside_them(run, tmp_path):
         found = np.sort(arrays["instances"])
     expected = np.sort(read_splats(run / "map.ply").extra["instance"])
     assert np.bincount(found)[1:].sum() > 0.9 * np.bincount(expected)[1:].sum()
+
+
+def direction(number: int) -> np.ndarray:
+    """The embedding of a true object."""
+    return np.random.default_rng([3, number]).normal(size=16)
+
+
+@pytest.fixture(scope="session")
+def embedded_masks(room, masks, tmp_path_factory) -> Path:
+    """The masks, with the embeddings of their true objects."""
+    folder = shutil.copytree(masks, tmp_path_factory.mktemp("embedded") / "masks")
+    for index in range(FRAMES):
+        true = read_labels(room / "instances" / f"instance{index:06d}.png")
+        shown = read_labels(folder / f"{index:06d}.png")
+        ids = np.unique(shown[shown > 0])
+        numbers = [int(true[shown == i][0]) for i in ids]
+        columns = {"embeddings": np.stack([direction(n) for n in numbers]), "model": "by number"}
+        np.savez(folder / f"{index:06d}.npz", ids=ids, **columns)
+    return folder
+
+
+def largest(room: Path) -> int:
+    """The true object that most pixels of the first frame show."""
+    ids = read_labels(room / "instances" / "instance000000.png")
+    return int(np.bincount(ids.reshape(-1)).argmax())
+
+
+def found_by(capsys, run: Path, vector: np.ndarray) -> list[dict]:
+    np.save(run / "query.npy", vector)
+    assert main(["query", str(run), "--embedding", str(run / "query.npy"), "--json"]) == 0
+    (answer,) = json.loads(capsys.readouterr().out)
+    assert answer["model"] == "by number"
+    return answer["ranking"]
+
+
+def test_query_finds_objects_by_the_embeddings_of_their_masks(
+    room, embedded_masks, tmp_path, capsys
+):
+    out = tmp_path / "run"
+    folder = ["--instances.kind", "folder", "--instances.path", embedded_masks]
+    assert main(arguments(room, out, *folder)) == 0
+    capsys.readouterr()
+    best, second, *_ = found_by(capsys, out, direction(largest(room)))
+    assert best["similarity"] > 0.99 > second["similarity"]
+    assert main(["query", str(out), "--summary", str(out / "scene.json")]) == 0
+    listed = {one["id"]: one for one in json.loads((out / "scene.json").read_text())["objects"]}
+    for row in (best, second):
+        assert listed[row["id"]]["name"] == row["name"]
+        assert listed[row["id"]]["instance"] == row["instance"]
+    objects = json.loads((out / "objects.json").read_text())["objects"]
+    assert objects[best["instance"] - 1]["class"] == best["name"]
+
+
+def test_objects_of_a_map_without_labels_have_embeddings_too(
+    room, embedded_masks, tmp_path, capsys
+):
+    out = tmp_path / "run"
+    options = ["--instances.kind", "folder", "--instances.path", embedded_masks]
+    assert main(arguments(room, out, *options, "--segmenter.kind", "none")) == 0
+    capsys.readouterr()
+    best = found_by(capsys, out, direction(largest(room)))[0]
+    ids = [one["id"] for one in json.loads((out / "objects.json").read_text())["objects"]]
+    assert best["id"] == best["instance"]
+    assert best["id"] in ids
+    assert best["similarity"] > 0.99
+
+
+def test_a_model_yields_the_masks_of_a_run(room, tmp_path, capsys):
+    pytest.importorskip("transformers")
+    model, out = save_mask2former(tmp_path / "model"), tmp_path / "run"
+    options = ["--instances.kind", "model", "--instances.model.folder", model]
+    words = arguments(room, out, *options, "--instances.model.min-score", "0")
+    assert main(words) == 0
+    objects = json.loads((out / "objects.json").read_text())["objects"]
+    assert objects
+    assert {one["class"] for one in objects} <= set(CLASSES.values())
+    capsys.readouterr()
+    (model / "preprocessor_config.json").unlink()
+    second = tmp_path / "second"
+    assert "has no preprocessor_config.json" in error_of(
+        capsys, *[second if word == str(out) else word for word in words]
+    )
+    assert not second.exists()
 
 
 def test_an_interrupted_run_resumes_to_the_same_objects(room, tmp_path):

@@ -49,6 +49,18 @@ def test_objects_follow_the_order_of_the_file(tmp_path, cloud, labels):
     np.testing.assert_array_equal(read.labels.instances, distances.argmin(axis=1))
 
 
+def test_objects_of_a_map_without_labels_are_kept(tmp_path, cloud):
+    numbers = np.arange(len(cloud), dtype=np.int32)
+    path = tmp_path / "map.sog"
+    export_splats(path, cloud, {"instance": numbers})
+    read = read_splats(path)
+    distances = np.linalg.norm(read.means[:, None] - cloud.means.numpy(), axis=2)
+    assert read.labels is None
+    np.testing.assert_array_equal(read.extra["instance"], distances.argmin(axis=1))
+    np.savez(label_file_of(path), splats_sha256=np.array(""))
+    assert "instance" not in read_splats(path).extra
+
+
 def test_the_file_contains_names_and_is_reproducible(tmp_path, cloud, labels):
     path = tmp_path / "map.sog"
     export_splats(path, cloud, labels.columns(), taxonomy=TAXONOMY)
@@ -104,7 +116,7 @@ def test_splats_that_are_left_out_lose_their_labels(tmp_path, cloud, labels, cap
     content = bytearray(path.read_bytes())
     content[32 * 3 : 32 * 3 + 4] = np.float32(np.nan).tobytes()
     path.write_bytes(content)
-    write_label_file(path, labels, None, None)
+    write_label_file(path, labels.columns(), None, None)
     read = read_splats(path)
     assert "1 of 50 splats are not finite" in caplog.text
     assert len(read.labels) == len(read) == 49

@@ -23,6 +23,8 @@ from toolkit.loops.two_maps import (
     select_registration,
 )
 from toolkit.runs.finished import load_run
+from toolkit.runs.folder import RunFolder
+from toolkit.runs.instance_files import write_instances
 from toolkit.runs.merged_map import label_conflict, merge
 from toolkit.runs.registering import register_runs
 
@@ -55,6 +57,8 @@ def main(options: RegisterOptions) -> int:
         print(line)
     _create_folder(options.out)
     write_splat_ply(options.out / "map.ply", merged.gaussians, merged.columns())
+    if merged.instances is not None:
+        write_instances(merged.instances, RunFolder(options.out), merged.taxonomy)
     if merged.taxonomy is not None:
         merged.taxonomy.save(options.out / "taxonomy.yaml")
     # Copied as bytes: reading and writing may change the last digit of a pose.

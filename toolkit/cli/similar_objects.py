@@ -109,9 +109,10 @@ def _values(
     path: Sequence[str] = ()
     if taxonomy is not None and class_id != VOID:
         path = taxonomy.path(class_id)
-    centres_m = objects.centres_m
+    centres_m, instances = objects.centres_m, objects.instances
     return {
         "id": int(objects.ids[row]),
+        "instance": None if instances is None else int(instances[row]) or None,
         "name": path[-1] if path else None,
         "path": list(path),
         "similarity": round(similarity, _DECIMALS),

@@ -153,9 +153,10 @@ def _similarities(masks: InstanceMasks, objects: Sequence[TrackedObject]) -> Arr
     """
     length = masks.embeddings.shape[1]
     directions = np.zeros((len(objects), length), np.float32)
-    for row, one in enumerate(objects):
-        if len(one.embedding) == length:
-            directions[row] = one.direction
+    for row, one in enumerate(objects if length else ()):
+        fused = one.embeddings.fused()
+        if fused is not None:
+            directions[row] = fused.embedding
     cosines = masks.embeddings @ directions.T if length else np.zeros((len(masks), len(objects)))
     known = np.outer(masks.embeddings.any(axis=1), directions.any(axis=1))
     if not known.any():

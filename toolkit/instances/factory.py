@@ -9,7 +9,7 @@ from toolkit.instances.coco import CocoMasks
 from toolkit.instances.geometric import GeometricMasks
 from toolkit.instances.mask_images import MaskImageFolder
 from toolkit.instances.masks import MaskSource
-from toolkit.instances.options import InstanceOptions
+from toolkit.instances.options import InstanceModelOptions, InstanceOptions
 from toolkit.instances.tracking import InstanceTracker
 from toolkit.semantics.segmenters.image_folder import files_by_number, files_by_stem
 
@@ -18,31 +18,42 @@ def build_instances(
     options: InstanceOptions,
     class_names: Mapping[int, str] | None = None,
     stems: Sequence[str] | None = None,
+    continues: bool = False,
 ) -> InstanceTracker | None:
-    """Build what tracks objects; None if instances are off.
+    """Build what tracks objects; None if instances are off, and no map is loaded.
 
     Args:
         options: of instances.
         class_names: names of the class ids of the run's labels; None without labels.
         stems: names of the frames' images without suffix, by frame index.
+        continues: the run continues a finished map, whose objects are kept without masks too.
 
     Raises:
         SettingsError: an option is missing, or has no effect.
         DatasetError: the masks cannot be read.
+        DependencyError: transformers is missing.
+        FormatError: the folder of a model is invalid.
     """
+    if options.model.folder is not None and options.kind != "model":
+        raise SettingsError(
+            f"--instances.model.folder has no effect with --instances.kind {options.kind}; add "
+            "--instances.kind model, or remove it"
+        )
     if options.path is not None and options.kind != "folder":
         raise SettingsError(
             f"--instances.path has no effect with --instances.kind {options.kind}; add "
             "--instances.kind folder, or remove it"
         )
     if options.kind == "none":
-        return None
+        return InstanceTracker(options, None) if continues else None
     return InstanceTracker(options, _source(options, stems), class_names)
 
 
 def _source(options: InstanceOptions, stems: Sequence[str] | None) -> MaskSource:
     if options.kind == "geometric":
         return GeometricMasks()
+    if options.kind == "model":
+        return _model(options.model)
     path = options.path
     if path is None:
         raise SettingsError("--instances.kind folder needs the masks: add --instances.path FOLDER")
@@ -53,3 +64,12 @@ def _source(options: InstanceOptions, stems: Sequence[str] | None) -> MaskSource
         return CocoMasks(path, stems if by_stem else None)
     files = files_by_stem(path, stems or ()) if by_stem else files_by_number(path)
     return MaskImageFolder(path, files)
+
+
+def _model(options: InstanceModelOptions) -> MaskSource:
+    if options.folder is None:
+        raise SettingsError("--instances.kind model needs --instances.model.folder DIR")
+    # Imported on demand: transformers takes seconds to load.
+    from toolkit.instances.models.factory import model_masks
+
+    return model_masks(options.folder, options)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from toolkit.instances.association import Overlaps, add_votes
 from toolkit.instances.joining import join_duplicates, join_parts, join_submaps
 from toolkit.instances.result import InstanceMap, MapObject
-from toolkit.instances.tracking import InstanceTracker
+from toolkit.instances.tracking import SAVED, InstanceTracker
 from toolkit.instances.voting import GaussianVotes, MaskedKeyframe, masked_keyframes
 from toolkit.instances.voxels import VoxelVotes
 from toolkit.keyframe import evenly_spaced
@@ -39,7 +39,12 @@ def finish_instances(
         table = tracker.table()
         for one in own.values():
             one.relabel(table)
-        join_submaps(tracker, own)
+        if tracker.saved is not None and min(fused.numbers) < atlas.saved:
+            loaded = tracker.saved.votes(tracker.options.voxel_m)
+            loaded.relabel(table)
+            join_submaps(tracker, own | {SAVED: loaded})
+        else:
+            join_submaps(tracker, own)
         votes |= own
     table = tracker.table()
     counted: dict[int, GaussianVotes] = {}
@@ -48,7 +53,10 @@ def finish_instances(
             one = votes.get(number, VoxelVotes(tracker.options.voxel_m))
             one.relabel(table)
             means = fused.part(number).means.double().numpy()
-            counted[number] = GaussianVotes(means, one, len(table) - 1)
+            known = None
+            if tracker.saved is not None and number < atlas.saved:
+                known = table[tracker.saved.of(number, means)]
+            counted[number] = GaussianVotes(means, one, len(table) - 1, known)
             for masked in _masked(tracker, atlas, number, table):
                 counted[number].add(masked)
     return _numbered(tracker, counted, len(table))
@@ -82,7 +90,10 @@ def _replayed(tracker: InstanceTracker, atlas: Atlas, number: int) -> VoxelVotes
 def _numbered(
     tracker: InstanceTracker, counted: dict[int, GaussianVotes], objects: int
 ) -> InstanceMap:
-    """Number the objects with enough Gaussians from 1, in the order in which they were seen."""
+    """Number the objects with enough Gaussians from 1, in the order in which they were seen.
+
+    Objects of a loaded map keep their numbers, and new ones follow.
+    """
 
     def total(ids: dict[int, NDArray[np.int32]]) -> NDArray[np.int64]:
         counts = np.zeros(objects, np.int64)
@@ -92,12 +103,17 @@ def _numbered(
 
     counts = total({number: votes.winners() for number, votes in counted.items()})
     kept = counts >= max(tracker.options.min_gaussians, 1)
+    loaded = [n for n, one in tracker.objects.items() if one.submap == SAVED]
+    kept[loaded] = counts[loaded] > 0
     kept[0] = False
     ids = {number: votes.winners(kept) for number, votes in counted.items()}
     counts = total(ids)
     order = [n for n in sorted(tracker.objects) if kept[n]]
     table = np.zeros(objects, np.int32)
-    table[order] = np.arange(1, len(order) + 1)
+    new = [n for n in order if tracker.objects[n].submap != SAVED]
+    table[loaded] = loaded
+    last = 0 if tracker.saved is None else int(tracker.saved.ids.max(initial=0))
+    table[new] = last + np.arange(1, len(new) + 1)
     found = [
         MapObject(
             int(table[n]),
@@ -107,8 +123,9 @@ def _numbered(
             tracker.objects[n].views,
             tracker.objects[n].first,
             tracker.objects[n].last,
-            tracker.objects[n].direction,
+            tracker.objects[n].embeddings.fused(),
         )
         for n in order
     ]
-    return InstanceMap(found, {number: table[part] for number, part in ids.items()})
+    model = "" if tracker.embedded is None else tracker.embedded[1]
+    return InstanceMap(found, {number: table[part] for number, part in ids.items()}, model)

@@ -47,7 +47,7 @@ class GeometricMasks:
         if self._use_labels and keyframe.class_ids is not None:
             labels = keyframe.class_ids.numpy()[::step, ::step]
         smooth = depth_m > 0
-        smooth &= ~_depth_steps(depth_m)
+        smooth &= ~depth_steps(depth_m)
         if labels is None or not labels.any():
             rgb = keyframe.rgb.numpy()[:, ::step, ::step].transpose(1, 2, 0)
             smooth &= ~_folds(depth_m, keyframe.camera, step)
@@ -67,7 +67,7 @@ class GeometricMasks:
         )
 
 
-def _depth_steps(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+def depth_steps(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Mask of the pixels beside a step in depth."""
     z = np.where(depth_m > 0, depth_m, np.nan)
     edges = np.zeros(z.shape, bool)

@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from toolkit.instances.evidence import MIN_APART
+from toolkit.instances.overlapping import overlapping
 from toolkit.instances.tracking import InstanceTracker
 from toolkit.instances.voxels import VoxelVotes
 
@@ -15,11 +16,6 @@ from toolkit.instances.voxels import VoxelVotes
 _DUPLICATE = 0.5
 # A voxel belongs to both of its objects if the second has this fraction of the votes of the first.
 _BOTH = 0.3
-# Minimum intersection over union, in the voxels that both submaps know, of objects of two submaps,
-# and minimum number of voxels that they share.
-_MIN_OVERLAP, _MIN_SHARED = 0.25, 5
-# Factor of the overlap of objects of different classes.
-_OTHER_CLASS = 0.5
 
 
 def join_parts(tracker: InstanceTracker) -> None:
@@ -55,9 +51,13 @@ def join_submaps(tracker: InstanceTracker, votes: Mapping[int, VoxelVotes]) -> N
     Args:
         votes: of all submaps of a part of the map, in its frame.
     """
+
+    def class_of(number: int) -> str | None:
+        return tracker.objects[number].class_name
+
     found: list[tuple[float, int, int]] = []
     for one, other in combinations(sorted(votes), 2):
-        found += _overlaps(tracker, votes[one], votes[other])
+        found += overlapping(votes[one], votes[other], class_of, class_of)
     submaps = {n: {tracker.objects[n].submap} for pair in found for n in pair[1:]}
     for _, a, b in sorted(found, key=lambda row: (-row[0], row[1:])):
         a, b = tracker.current(a), tracker.current(b)
@@ -65,28 +65,6 @@ def join_submaps(tracker: InstanceTracker, votes: Mapping[int, VoxelVotes]) -> N
             continue
         together = submaps[a] | submaps[b]
         submaps[_merge(tracker, a, b)] = together
-
-
-def _overlaps(
-    tracker: InstanceTracker, one: VoxelVotes, other: VoxelVotes
-) -> list[tuple[float, int, int]]:
-    """Overlap and numbers of pairs of objects of two submaps."""
-    rows = other.rows(one.keys)
-    shared = rows >= 0
-    if not shared.any():
-        return []
-    mine, theirs = one.owners[shared, 0], other.owners[rows[shared], 0]
-    pairs, counts = np.unique(np.stack([mine, theirs], axis=1), axis=0, return_counts=True)
-    size_a, size_b = np.bincount(mine), np.bincount(theirs)
-    found = []
-    for (a, b), count in zip(pairs.tolist(), counts.tolist(), strict=True):
-        overlap = count / (size_a[a] + size_b[b] - count)
-        names = [tracker.objects[n].class_name for n in (a, b)]
-        if None not in names and names[0] != names[1]:
-            overlap *= _OTHER_CLASS
-        if overlap >= _MIN_OVERLAP and count >= _MIN_SHARED:
-            found.append((float(overlap), int(a), int(b)))
-    return found
 
 
 def _merge(tracker: InstanceTracker, a: int, b: int) -> int:

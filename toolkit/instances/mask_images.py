@@ -20,14 +20,16 @@ _log = logging.getLogger(__name__)
 
 # Squared lengths below this are embeddings of zeros.
 _SMALLEST = 1e-12
+# Maximum length of the name of a model (`object_embeddings`).
+_MAX_NAME = 200
 
 
 class MaskImageFolder:
     """Masks from files `NAME.png` of ids, 0 for no mask, and optional files `NAME.npz` beside them.
 
     The NPZ contains `ids` [K] and, for these ids, any of `classes` [K] (names, "" for unknown),
-    `scores` [K] in [0, 1] and `embeddings` [K, D]. Ids may restart in every frame. Frames without
-    an image have no masks.
+    `scores` [K] in [0, 1] and `embeddings` [K, D], and `model`, the name of the embeddings' model.
+    Ids may restart in every frame. Frames without an image have no masks.
 
     Args:
         folder: folder of the files.
@@ -82,7 +84,8 @@ class MaskImageFolder:
             scores[known] = columns["scores"][row[known]]
             embeddings[known] = self._unit(columns["embeddings"][row[known]], file)
         rows = np.where(ids == 0, 0, np.searchsorted(found, ids) + 1)
-        return InstanceMasks(rows.astype(np.int32), classes, scores, embeddings)
+        model = str(columns["model"])
+        return InstanceMasks(rows.astype(np.int32), classes, scores, embeddings, model)
 
     def _unit(self, embeddings: NDArray[np.float32], file: Path) -> NDArray[np.float32]:
         """Embeddings of unit length, 0 where they are 0.
@@ -140,6 +143,11 @@ def _read(file: Path) -> dict[str, NDArray]:
             raise DatasetError(f"{file}: {name} has values that are not finite; write it again")
     if count and not ((columns["scores"] >= 0) & (columns["scores"] <= 1)).all():
         raise DatasetError(f"{file}: scores must lie in 0 to 1; scale them")
+    columns["model"] = model = arrays.get("model", np.array(""))
+    if model.dtype.kind != "U" or model.ndim or len(str(model)) > _MAX_NAME:
+        raise DatasetError(
+            f"{file}: model must be a name of at most {_MAX_NAME} characters; write it again"
+        )
     for name in ("scores", "embeddings"):
         columns[name] = columns[name].astype(np.float32)
     return columns

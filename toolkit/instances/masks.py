@@ -22,6 +22,7 @@ class InstanceMasks:
         classes: [K] names of the masks' classes, None where unknown.
         scores: [K] float32 confidences in [0, 1].
         embeddings: [K, D] float32 of unit length, all 0 where unknown; D is 0 without embeddings.
+        model: name of the model of the embeddings, empty if unknown.
 
     Raises:
         ValueError: shapes do not match.
@@ -31,6 +32,7 @@ class InstanceMasks:
     classes: Sequence[str | None]
     scores: NDArray[np.float32]
     embeddings: NDArray[np.float32]
+    model: str = ""
 
     def __post_init__(self) -> None:
         count = len(self.classes)

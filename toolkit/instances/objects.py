@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from toolkit.instances.embeddings import ViewEmbeddings
 
 
 @dataclass
@@ -21,7 +20,7 @@ class TrackedObject:
         area: pixels of its masks.
         score: sum of the masks' scores.
         classes: weight of each class name.
-        embedding: [D] sum of the masks' embeddings; empty without.
+        embeddings: those of the masks.
         parent: object that this one was first seen as a part of, 0 for none.
     """
 
@@ -33,7 +32,7 @@ class TrackedObject:
     area: float = 0.0
     score: float = 0.0
     classes: dict[str, float] = field(default_factory=dict)
-    embedding: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+    embeddings: ViewEmbeddings = field(default_factory=ViewEmbeddings)
     parent: int = 0
 
     @property
@@ -48,20 +47,7 @@ class TrackedObject:
         """Mean score of the masks, in [0, 1]."""
         return self.score / max(self.views, 1)
 
-    @property
-    def direction(self) -> NDArray[np.float32]:
-        """The embedding [D] with unit length; 0 where unknown."""
-        length = float(np.linalg.norm(self.embedding))
-        return self.embedding / length if length > 0 else self.embedding
-
-    def see(
-        self,
-        index: int,
-        area: float,
-        class_name: str | None,
-        score: float,
-        embedding: NDArray[np.float32],
-    ) -> None:
+    def see(self, index: int, area: float, class_name: str | None, score: float) -> None:
         """Add a mask of the keyframe `index`."""
         self.first, self.last = min(self.first, index), max(self.last, index)
         self.views += 1
@@ -69,8 +55,6 @@ class TrackedObject:
         self.score += score
         if class_name is not None:
             self._add_class(class_name, area * score)
-        if len(embedding):
-            self.embedding = self._embedding(len(embedding)) + np.float32(score) * embedding
 
     def absorb(self, other: TrackedObject) -> None:
         """Add all masks of another object."""
@@ -80,17 +64,13 @@ class TrackedObject:
         self.score += other.score
         for name, weight in other.classes.items():
             self._add_class(name, weight)
-        if len(other.embedding):
-            self.embedding = self._embedding(len(other.embedding)) + other.embedding
+        self.embeddings.absorb(other.embeddings)
 
     def _add_class(self, name: str, weight: float) -> None:
         self.classes[name] = self.classes.get(name, 0.0) + weight
 
-    def _embedding(self, length: int) -> NDArray[np.float32]:
-        return self.embedding if len(self.embedding) else np.zeros(length, np.float32)
-
     def values(self) -> dict[str, Any]:
-        """JSON values, without the embedding."""
+        """JSON values, without the embeddings."""
         return {
             "number": self.number,
             "submap": self.submap,
@@ -104,6 +84,6 @@ class TrackedObject:
         }
 
     @classmethod
-    def from_values(cls, values: dict[str, Any], embedding: NDArray[np.float32]) -> TrackedObject:
-        """Restore an object from its `values` and its embedding."""
-        return cls(**values | {"embedding": embedding})
+    def from_values(cls, values: dict[str, Any], embeddings: ViewEmbeddings) -> TrackedObject:
+        """Restore an object from its `values` and its embeddings."""
+        return cls(**values | {"embeddings": embeddings})

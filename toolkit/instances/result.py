@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.semantics.embedding_fusion import FusedEmbedding
+
 
 @dataclass(frozen=True, eq=False)
 class MapObject:
@@ -20,7 +22,7 @@ class MapObject:
         score: mean score of its masks, in [0, 1].
         views: number of its masks.
         first, last: frame indices of the first and the last keyframe that saw it.
-        embedding: [D] mean embedding of unit length; empty without embeddings.
+        embedding: fused from those of its masks; None without embeddings.
     """
 
     number: int
@@ -30,7 +32,7 @@ class MapObject:
     views: int
     first: int
     last: int
-    embedding: NDArray[np.float32]
+    embedding: FusedEmbedding | None = None
 
     def values(self) -> dict[str, Any]:
         """JSON values, without the embedding."""
@@ -53,7 +55,9 @@ class InstanceMap:
         objects: in the order of their numbers.
         ids: by submap, the object [n] int32 of each of the Gaussians that the map keeps of it; 0
             is none.
+        model: name of the model of the embeddings, empty if unknown.
     """
 
     objects: list[MapObject]
     ids: dict[int, NDArray[np.int32]]
+    model: str = ""

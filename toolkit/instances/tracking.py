@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import takewhile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.errors import DatasetError
 from toolkit.instances.association import COVERED, Association, Overlaps, add_votes, associate
+from toolkit.instances.embeddings import ViewEmbeddings
 from toolkit.instances.evidence import PairEvidence, pairs_of
 from toolkit.instances.masks import InstanceMasks, MaskSource
 from toolkit.instances.objects import TrackedObject
 from toolkit.instances.options import InstanceOptions
 from toolkit.instances.records import KeyframeMasks, records_state, restored_records
+from toolkit.instances.saved import SavedObjects
 from toolkit.instances.voxels import MaskedVoxels, VoxelVotes, sampling_step
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
+from toolkit.semantics.embedding_fusion import view_weights
 
+# Number of the submap of loaded objects, which belong to all submaps of their map.
+SAVED = -1
+# Area of loaded objects: they keep their numbers and classes if they are joined with others.
+_SAVED_AREA = 1e12
+_SAVED_ARRAYS = ("points_m", "ids", "submap")
 # Minimum number of voxels of a mask that starts an object, and of an object that is evidence.
 _MIN_VOXELS, _MIN_VISIBLE = 3, 4
 # Objects seen this often keep their voxels below a mask that covers several objects.
@@ -34,21 +44,23 @@ class InstanceTracker:
 
     Args:
         options: size of voxels and of objects.
-        source: yields the masks of keyframes.
+        source: yields the masks of keyframes; None to keep the objects of a loaded map only.
         class_names: names of the class ids of keyframes, for masks without a class.
 
     Attributes:
-        source: yields the masks.
+        source: yields the masks, or None.
+        saved: Gaussians of a loaded map with their objects, or None.
         objects: objects by number.
         records: the masks of all keyframes, in order.
         evidence: which objects are one, and which are not.
         merged: objects that became part of others, by number.
+        embedded: length of the masks' embeddings and name of their model; None without.
     """
 
     def __init__(
         self,
         options: InstanceOptions,
-        source: MaskSource,
+        source: MaskSource | None,
         class_names: Mapping[int, str] | None = None,
     ) -> None:
         self.options = options
@@ -56,10 +68,38 @@ class InstanceTracker:
         self.records: list[KeyframeMasks] = []
         self.evidence = PairEvidence()
         self.merged: dict[int, int] = {}
+        self.embedded: tuple[int, str] | None = None
+        self.saved: SavedObjects | None = None
         self.source, self._class_names = source, class_names or {}
         self._votes: dict[int, VoxelVotes] = {}
         self._seen: set[tuple[int, int]] = set()
         self._next = 1
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether there are neither masks nor objects of a loaded map."""
+        return self.source is None and self.saved is None
+
+    def load(self, saved: SavedObjects, offset: int) -> None:
+        """Load the objects of an earlier map, before the first keyframe; they keep their numbers.
+
+        Args:
+            saved: the objects.
+            offset: added to their frame indices.
+        """
+        # What is needed from the objects moves to the tracked ones, which may be joined.
+        self.saved = replace(saved, objects=[])
+        for one in saved.objects:
+            first, last = one.first + offset, one.last + offset
+            found = TrackedObject(one.number, SAVED, first, last, one.views, _SAVED_AREA)
+            found.score = one.score * one.views
+            if one.class_name is not None:
+                found.classes = {one.class_name: _SAVED_AREA}
+            if one.embedding is not None:
+                found.embeddings.add(first, one.embedding.weight, one.embedding.embedding)
+                self.embedded = (len(one.embedding.embedding), saved.model)
+            self.objects[one.number] = found
+            self._next = max(self._next, one.number + 1)
 
     def update(self, submap: int, keyframes: Sequence[Keyframe]) -> None:
         """Associate the masks of the newest keyframes of a submap with its objects.
@@ -72,16 +112,18 @@ class InstanceTracker:
         Raises:
             DatasetError: the masks of a frame are invalid.
         """
+        if self.source is None:
+            return
         new = list(takewhile(lambda k: (submap, k.index) not in self._seen, reversed(keyframes)))
         for keyframe in reversed(new):
             self._seen.add((submap, keyframe.index))
-            self._add(submap, keyframe)
+            self._add(submap, keyframe, self.source.masks(keyframe))
 
-    def _add(self, submap: int, keyframe: Keyframe) -> None:
-        masks = self.source.masks(keyframe)
+    def _add(self, submap: int, keyframe: Keyframe, masks: InstanceMasks | None) -> None:
         if masks is None or not len(masks):
             return
         masks = _limited(masks)
+        self._check_embeddings(masks, keyframe.index)
         step = sampling_step(keyframe.camera.width)
         ids = masks.ids[::step, ::step]
         votes = self._votes.setdefault(submap, VoxelVotes(self.options.voxel_m))
@@ -92,16 +134,30 @@ class InstanceTracker:
         overlaps = Overlaps.of(seen, votes, rows, len(masks))
         classes = self._classes(masks, ids, keyframe, step)
         association = associate(overlaps, masks, classes, self.objects)
-        areas = np.bincount(ids.reshape(-1), minlength=len(masks) + 1)[1:] * step**2
+        areas = np.bincount(ids.reshape(-1), minlength=len(masks) + 1)[1:] * float(step**2)
         found = self._objects_of(association, overlaps, submap, keyframe.index)
+        weights = view_weights(areas, seen.distances(len(masks)), masks.scores)
         for k in np.flatnonzero(found):
             one = self.objects[int(found[k])]
-            score, embedding = float(masks.scores[k]), masks.embeddings[k]
-            one.see(keyframe.index, float(areas[k]), classes[k], score, embedding)
+            one.see(keyframe.index, float(areas[k]), classes[k], float(masks.scores[k]))
+            one.embeddings.add(keyframe.index, float(weights[k]), masks.embeddings[k])
         covered = self._observe(overlaps)
         add_votes(votes, seen, rows, overlaps, found, self.settled)
         self.records.append(KeyframeMasks.of(keyframe.index, submap, found, ids))
         self._merge(votes, covered)
+
+    def _check_embeddings(self, masks: InstanceMasks, index: int) -> None:
+        length = masks.embeddings.shape[1]
+        if not length:
+            return
+        found = (length, masks.model)
+        self.embedded = self.embedded or found
+        if found != self.embedded:
+            new, old = (f"length {n}" + f" ({m})" * bool(m) for n, m in (found, self.embedded))
+            raise DatasetError(
+                f"the masks of frame {index} have embeddings of {new}, those of earlier frames of "
+                f"{old}; compute all embeddings with one model"
+            )
 
     def _classes(
         self, masks: InstanceMasks, ids: NDArray[np.int32], keyframe: Keyframe, step: int
@@ -199,16 +255,18 @@ class InstanceTracker:
         for submap, votes in self._votes.items():
             arrays |= {f"votes/{submap}/{name}": a for name, a in votes.state().items()}
         objects = list(self.objects.values())
-        lengths = np.array([len(one.embedding) for one in objects], np.int64)
-        embeddings = [np.zeros(0, np.float32), *(one.embedding for one in objects)]
+        vectors = [one.embeddings.vectors().reshape(-1) for one in objects]
         arrays |= {
             "evidence": self.evidence.state(),
             "seen": np.array(sorted(self._seen), np.int64).reshape(-1, 2),
-            "embedding_lengths": lengths,
-            "embeddings": np.concatenate(embeddings),
+            "embeddings": np.concatenate([np.zeros(0, np.float16), *vectors]),
         }
+        if self.saved is not None:
+            arrays |= {f"saved/{name}": getattr(self.saved, name) for name in _SAVED_ARRAYS}
         values = {
             "objects": [one.values() for one in objects],
+            "views": [one.embeddings.values() for one in objects],
+            "embedded": self.embedded,
             "merged": [[a, b] for a, b in self.merged.items()],
             "submaps": list(self._votes),
             "next": self._next,
@@ -222,19 +280,26 @@ class InstanceTracker:
         for submap in values["submaps"]:
             self._votes[submap] = VoxelVotes(self.options.voxel_m)
             self._votes[submap].restore(arrays_below(arrays, f"votes/{submap}/"))
+        saved = arrays_below(arrays, "saved/")
+        self.saved = None
+        if saved:
+            points_m, ids, own = (np.array(saved[name]) for name in _SAVED_ARRAYS)
+            self.saved = SavedObjects([], points_m, ids, own)
         self.evidence.restore(arrays["evidence"])
         self._seen = {(int(submap), int(index)) for submap, index in arrays["seen"]}
         self.merged = {int(a): int(b) for a, b in values["merged"]}
         self._next = int(values["next"])
-        self.objects = {
-            int(one["number"]): TrackedObject.from_values(one, embedding)
-            for one, embedding in zip(values["objects"], _embeddings(arrays), strict=True)
-        }
-
-
-def _embeddings(arrays: dict[str, NDArray]) -> Iterable[NDArray[np.float32]]:
-    ends = np.cumsum(arrays["embedding_lengths"])
-    return np.split(np.array(arrays["embeddings"]), ends)[: len(ends)]
+        self.embedded = None
+        if values["embedded"] is not None:
+            self.embedded = int(values["embedded"][0]), str(values["embedded"][1])
+        length = 1 if self.embedded is None else self.embedded[0]
+        vectors, row = np.array(arrays["embeddings"]).reshape(-1, length), 0
+        self.objects = {}
+        for one, views in zip(values["objects"], values["views"], strict=True):
+            own = vectors[row : row + len(views["frames"])]
+            restored = ViewEmbeddings.from_values(views, own)
+            self.objects[int(one["number"])] = TrackedObject.from_values(one, restored)
+            row += len(own)
 
 
 def _limited(masks: InstanceMasks) -> InstanceMasks:
@@ -246,4 +311,5 @@ def _limited(masks: InstanceMasks) -> InstanceMasks:
     table = np.zeros(len(masks) + 1, np.int32)
     table[kept + 1] = np.arange(1, len(kept) + 1)
     classes = [masks.classes[k] for k in kept]
-    return InstanceMasks(table[masks.ids], classes, masks.scores[kept], masks.embeddings[kept])
+    scores, embeddings = masks.scores[kept], masks.embeddings[kept]
+    return InstanceMasks(table[masks.ids], classes, scores, embeddings, masks.model)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from toolkit.geometry import se3
+from toolkit.geometry.depth_lookup import depths_at
 from toolkit.instances.association import COVERED, Overlaps
 from toolkit.instances.records import KeyframeMasks
 from toolkit.instances.voxels import MaskedVoxels, VoxelVotes, sampling_step
@@ -66,11 +67,18 @@ class GaussianVotes:
         means: [N, 3] centres in the world.
         votes: objects by voxel in the world.
         objects: number of objects M.
+        known: [N] objects of the Gaussians without votes; by default, those of their voxels.
     """
 
-    def __init__(self, means: Array, votes: VoxelVotes, objects: int) -> None:
+    def __init__(
+        self,
+        means: Array,
+        votes: VoxelVotes,
+        objects: int,
+        known: NDArray[np.int32] | None = None,
+    ) -> None:
         self._means, self._votes, self._objects = means, votes, objects
-        self._owner = votes.owner_at(means)
+        self._owner = votes.owner_at(means) if known is None else known
         self._cells: list[NDArray[np.int64]] = []
         self._counts: list[NDArray[np.int64]] = []
         self._pending = 0
@@ -102,16 +110,10 @@ class GaussianVotes:
         """Indices, rows and columns of the Gaussians on the surface that a keyframe measured."""
         keyframe = masked.keyframe
         points = se3.transform_points(se3.inverse(masked.T_world_camera), self._means)
-        index = np.flatnonzero(points[:, 2] > _TOLERANCE_M)
-        camera = keyframe.camera
-        uv = np.rint(camera.project(points[index])).astype(np.intp)
-        inside = (uv >= 0).all(axis=1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
-        index, uv = index[inside], uv[inside]
-        column, row = uv.T
-        depth_m = keyframe.depth_m.numpy()[row, column]
-        near = np.abs(points[index, 2] - depth_m) <= _TOLERANCE_M + _TOLERANCE * depth_m
-        near &= depth_m > 0
-        return index[near], row[near], column[near]
+        at = depths_at(points, keyframe.depth_m.numpy(), keyframe.camera, _TOLERANCE_M)
+        near = np.abs(at.z_m - at.depth_m) <= _TOLERANCE_M + _TOLERANCE * at.depth_m
+        near &= at.depth_m > 0
+        return at.index[near], at.row[near], at.column[near]
 
     def _sum(self) -> None:
         cells, inverse = np.unique(np.concatenate(self._cells), return_inverse=True)

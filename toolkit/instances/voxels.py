@@ -106,6 +106,13 @@ class MaskedVoxels:
         """Number of voxels."""
         return len(self.keys)
 
+    def distances(self, masks: int) -> Array:
+        """Mean distance [K] of the voxels of each mask from the camera, 0 for masks without any."""
+        metres = np.linalg.norm(self.points - self.camera, axis=1)
+        count = np.bincount(self.mask, minlength=masks + 1)
+        total = np.bincount(self.mask, metres, masks + 1)
+        return np.asarray(total / np.maximum(count, 1))[1:]
+
 
 def _changes(values: NDArray) -> NDArray[np.bool_]:
     """Mask of the places of sorted values where a new value starts."""

@@ -1,6 +1,7 @@
-"""Semantic labels beside splat files that have no room for them: `map.sog.labels.npz`.
+"""Labels and objects beside splat files that have no room for them: `map.sog.labels.npz`.
 
-The file is an archive of NumPy arrays. Row i belongs to splat i of the splat file:
+The file is an archive of NumPy arrays. Row i belongs to splat i of the splat file. A map has labels
+(the first three), objects (`instances`), or both:
 
 - `label` [N] int32, class ids, 0 for void; `class_names` [C] are the names by id
 - `levels` [N, L] int32, nodes of the class tree at each level; -1 is void or uncertain
@@ -23,26 +24,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.io.atomic import write_bytes
 from toolkit.io.splat_columns import Order
-from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.splat_labels import INSTANCE, SplatLabels, instances_in
 
 _log = logging.getLogger(__name__)
 
 _VOID = "void"
+_LABELS = ("label", "levels", "confidence")
 
 
 @dataclass(frozen=True)
 class LabelFile:
-    """Labels read from beside a splat file.
+    """Labels and objects read from beside a splat file.
 
     Attributes:
-        labels: those of all splats.
+        columns: of all splats [N], as `SplatLabels.columns` and `INSTANCE` name them.
         taxonomy: JSON values of the class tree; None if the file has none.
     """
 
-    labels: SplatLabels
+    columns: dict[str, NDArray]
     taxonomy: dict[str, Any] | None
 
 
@@ -53,15 +56,15 @@ def label_file_of(splat_file: Path) -> Path:
 
 def write_label_file(
     splat_file: Path,
-    labels: SplatLabels | None,
+    columns: Mapping[str, NDArray],
     taxonomy: Mapping[str, Any] | None,
     order: Order,
 ) -> None:
-    """Write the labels of a splat file that exists already, or remove those of an earlier one.
+    """Write the labels and objects of a splat file, or remove those of an earlier one.
 
     Args:
-        splat_file: the splat file.
-        labels: labels of the splats before they were written.
+        splat_file: the splat file, which exists already.
+        columns: additional columns [N] of the splats before they were written, by name.
         taxonomy: JSON values of the class tree (`Taxonomy.to_json`).
         order: rows of the splat file, as indices of the labels; None if they have the same order.
 
@@ -69,19 +72,17 @@ def write_label_file(
         RunFolderError: the file cannot be written.
     """
     path = label_file_of(splat_file)
-    if labels is None:
+    if order is not None:
+        columns = {name: column[order] for name, column in columns.items()}
+    labels, instances = SplatLabels.from_columns(columns), instances_in(columns)
+    if labels is None and instances is None:
         path.unlink(missing_ok=True)
         return
-    if order is not None:
-        labels = labels.select(order)
-    arrays: dict[str, Any] = {
-        "label": labels.label,
-        "levels": labels.levels,
-        "confidence": labels.confidence,
-        "splats_sha256": np.array(_digest(splat_file)),
-    }
-    if labels.instances is not None:
-        arrays["instances"] = labels.instances
+    arrays: dict[str, Any] = {"splats_sha256": np.array(_digest(splat_file))}
+    if labels is not None:
+        arrays |= {name: getattr(labels, name) for name in _LABELS}
+    if instances is not None:
+        arrays["instances"] = instances
     if taxonomy is not None:
         arrays["class_names"] = np.array([_VOID, *taxonomy["classes"]])
         arrays["taxonomy"] = np.array(json.dumps(taxonomy, ensure_ascii=False))
@@ -102,25 +103,41 @@ def read_label_file(splat_file: Path, count: int) -> LabelFile | None:
         return None
     try:
         with np.load(path, allow_pickle=False) as arrays:
-            labels = SplatLabels(
-                arrays["label"].astype(np.int32),
-                arrays["levels"].astype(np.int32),
-                arrays["confidence"].astype(np.float32),
-                arrays["instances"].astype(np.int32) if "instances" in arrays else None,
-            )
+            columns = _columns(arrays)
             taxonomy = json.loads(str(arrays["taxonomy"])) if "taxonomy" in arrays else None
             digest = str(arrays["splats_sha256"])
     except (OSError, EOFError, ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
         _log.warning("%s cannot be read and is ignored (%s); export the map again.", path, error)
         return None
-    if len(labels) != count:
-        reason = f"it has labels of {len(labels)} splats, but {splat_file.name} contains {count}"
+    rows = len(next(iter(columns.values())))
+    if rows != count:
+        reason = f"it has labels of {rows} splats, but {splat_file.name} contains {count}"
     elif digest != _digest(splat_file):
         reason = f"{splat_file.name} was changed after it was exported"
     else:
-        return LabelFile(labels, taxonomy)
+        return LabelFile(columns, taxonomy)
     _log.warning("%s is ignored: %s; export the map again.", path, reason)
     return None
+
+
+def _columns(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """The columns in a file; at least one.
+
+    Raises:
+        KeyError: there are neither labels nor objects, or a part of the labels is missing.
+        ValueError: shapes do not match.
+    """
+    instances = arrays["instances"].astype(np.int32) if "instances" in arrays else None
+    if instances is not None and not any(name in arrays for name in _LABELS):
+        if instances.ndim != 1:
+            raise ValueError(f"instances must have shape [N], got {list(instances.shape)}")
+        return {INSTANCE: instances}
+    return SplatLabels(
+        arrays["label"].astype(np.int32),
+        arrays["levels"].astype(np.int32),
+        arrays["confidence"].astype(np.float32),
+        instances,
+    ).columns()
 
 
 def _digest(path: Path) -> str:

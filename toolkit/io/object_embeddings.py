@@ -11,6 +11,7 @@ Arrays of the file (NumPy, without pickle):
 | `embeddings` | float16 [K, D] | unit length; or, if compressed: |
 | `codes`, `codebooks` | uint8 [K, M], float16 [M, C, D / M] | row of each part's codebook |
 | `centres_m` | float32 [K, 3] | optional: position of each object in the map, in metres |
+| `instances` | int32 [K] | optional: number of each object in `objects.json`, 0 for none |
 """
 
 from __future__ import annotations
@@ -66,6 +67,8 @@ class ObjectEmbeddings:
         weights: [K] float32, 0 or more.
         model: name of the model that made the embeddings.
         centres_m: [K, 3] float32, positions in the map, in metres, or None.
+        instances: [K] int32, numbers in `objects.json`, 0 for objects found by connection; None
+            for a map without instances.
 
     Raises:
         FormatError: shapes differ, a value is not finite or out of range, an id appears twice, a
@@ -78,10 +81,12 @@ class ObjectEmbeddings:
     weights: NDArray[np.float32]
     model: str
     centres_m: NDArray[np.float32] | None = None
+    instances: NDArray[np.int32] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.ids)
-        shapes = {"class_ids": (count,), "weights": (count,), "centres_m": (count, 3)}
+        shapes: dict[str, tuple[int, ...]] = {"centres_m": (count, 3)}
+        shapes |= dict.fromkeys(("class_ids", "weights", "instances"), (count,))
         for name, shape in shapes.items():
             array = getattr(self, name)
             if array is not None and array.shape != shape:
@@ -155,6 +160,8 @@ def write_objects(
         arrays |= {"codes": compressed.codes, "codebooks": compressed.codebooks}
     if objects.centres_m is not None:
         arrays["centres_m"] = objects.centres_m.astype(np.float32)
+    if objects.instances is not None:
+        arrays["instances"] = objects.instances.astype(np.int32)
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
@@ -196,6 +203,7 @@ def _objects(arrays: dict[str, NDArray]) -> ObjectEmbeddings:
     else:
         embeddings = _array(arrays, "embeddings", "f", 2).astype(np.float32)
     centres_m = _array(arrays, "centres_m", "f", 2) if "centres_m" in arrays else None
+    instances = _array(arrays, "instances", "iu", 1) if "instances" in arrays else None
     return ObjectEmbeddings(
         ids.astype(np.int32),
         class_ids.astype(np.int32),
@@ -203,6 +211,7 @@ def _objects(arrays: dict[str, NDArray]) -> ObjectEmbeddings:
         _array(arrays, "weights", "f", 1).astype(np.float32),
         str(model),
         None if centres_m is None else centres_m.astype(np.float32),
+        None if instances is None else instances.astype(np.int32),
     )
 
 

@@ -163,7 +163,7 @@ def export_splats(
     """Write splats for viewers, in the format of the suffix.
 
     Formats other than `.ply`, glTF and USD quantise, and store neither comments nor additional
-    columns. Labels in `extra` are written to a file beside them (`label_files`).
+    columns. Labels and objects in `extra` are written to a file beside them (`label_files`).
 
     Args:
         path: the file, ending in one of `WRITTEN_SUFFIXES` or in `.compressed.ply`.
@@ -192,7 +192,7 @@ def export_splats(
     columns = columns_of(path, splats)
     check_finite(path, columns)
     order = write(path, columns, _is_filtered(splats))
-    write_label_file(path, SplatLabels.from_columns(extra or {}), taxonomy, order)
+    write_label_file(path, extra or {}, taxonomy, order)
 
 
 def export_splat_scene(
@@ -248,7 +248,7 @@ def read_splats(path: PathLike) -> Splats:
     columns = read(path)
     beside = read_label_file(path, len(columns.get("positions", ())))
     if beside is not None:
-        columns |= {name: column[:, None] for name, column in beside.labels.columns().items()}
+        columns |= {name: column[:, None] for name, column in beside.columns.items()}
     columns = checked(path, columns)
     return Splats(
         means=columns["positions"].astype(np.float32),

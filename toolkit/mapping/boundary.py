@@ -12,6 +12,7 @@ from torch import Tensor
 from toolkit.gaussians.cloud import NO_LOW_PASS, GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.depth_lookup import depths_at
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.mapper import Mapper
 from toolkit.rendering import SurfaceView
@@ -117,11 +118,5 @@ def visible_gaussians(
 ) -> Tensor:
     """Indices [V] of the Gaussians on the surface visible in a rendered view of the map."""
     points = cloud.transformed(T_camera_map).means.double().numpy()
-    height, width = view.depth_m.shape
-    ahead = points[:, 2] > 0
-    uv = camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))
-    column, row = np.rint(uv).astype(np.int64).T
-    inside = ahead & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    depth_m = view.depth_m.numpy()[row[inside], column[inside]]
-    inside[inside] = points[inside, 2] <= (1.0 + _MAX_BEHIND) * depth_m
-    return torch.from_numpy(inside.nonzero()[0])
+    at = depths_at(points, view.depth_m.numpy(), camera)
+    return torch.from_numpy(at.index[at.z_m <= (1.0 + _MAX_BEHIND) * at.depth_m])

@@ -84,7 +84,8 @@ def build_slam(
     sources = FrameSources(labeller, settings.denoise)
     names = None if taxonomy is None else dict(enumerate(taxonomy.classes, start=1))
     stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
-    instances = build_instances(settings.instances, names, stems)
+    continues = settings.map is not None
+    instances = build_instances(settings.instances, names, stems, continues)
     slam = Slam(front_end, mapper, atlas, sources, recorder, instances)
     return slam
 

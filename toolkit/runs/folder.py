@@ -2,6 +2,7 @@
 
     config.yaml  trajectory.txt  covariances.txt  map.ply  frames.json  renders/  metrics.json
     report.html  taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
+    objects.json (of runs with instances)  objects.npz (embeddings of objects)
     parts/N (of maps in separate parts)  delays.csv (of runs with --pace)
     live/ (while a viewer follows the run)
 
@@ -33,6 +34,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.covariances import write_covariances
+from toolkit.io.object_embeddings import OBJECTS
 from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.io.splat_parts import write_splat_parts
 from toolkit.io.splats import read_splats
@@ -44,7 +46,7 @@ _log = logging.getLogger(__name__)
 
 _SLOTS = ("0", "1")
 # To be incremented when the state of any part of a run changes its layout.
-CHECKPOINT_FORMAT = 5
+CHECKPOINT_FORMAT = 6
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class RunFolder:
         self.renders = path / "renders"
         self.taxonomy = path / "taxonomy.yaml"
         self.objects = path / "objects.json"
+        self.embeddings = path / OBJECTS
         self.semantics = path / "semantics"
         self.submaps = path / "submaps"
         self.metrics = path / "metrics.json"

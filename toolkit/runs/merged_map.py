@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.io.splat_labels import SplatLabels
+from toolkit.instances.result import InstanceMap
+from toolkit.instances.saved import SavedObjects, joined
+from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
-from toolkit.refinement.fusion import fuse_submaps
+from toolkit.refinement.fusion import FusedMap, fuse_submaps
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.map_files import splat_labels
+from toolkit.runs.saved_objects import load_objects
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.store import SavedSubmaps
@@ -31,16 +34,21 @@ class MergedMap:
             first.
         labels: labels of the Gaussians; None if the labels of the runs cannot be merged.
         taxonomy: taxonomy of the labels, or None.
+        instances: objects of both maps, joined where they overlap; None if neither has any.
     """
 
     gaussians: GaussianCloud
     submap: Tensor
     labels: SplatLabels | None
     taxonomy: Taxonomy | None
+    instances: InstanceMap | None = None
 
     def columns(self) -> dict[str, NDArray]:
         """Return the additional columns of the map's file."""
         columns = {} if self.labels is None else self.labels.columns()
+        if self.instances is not None:
+            ids = [self.instances.ids[n] for n in sorted(self.instances.ids)]
+            columns |= {INSTANCE: np.concatenate(ids)}
         return columns | {"submap": self.submap.numpy()}
 
 
@@ -98,10 +106,27 @@ def merge(
 
     numbers = [*sorted(submaps_a), *(first_b + number for number in sorted(submaps_b))]
     fused = fuse_submaps(numbers, load)
+    instances = _instances((a, b), fused, first_b, T_a_b)
     if not labelled:
-        return MergedMap(fused.gaussians, fused.submap, None, None)
+        return MergedMap(fused.gaussians, fused.submap, None, None, instances)
     labels = _labels((a, b), fused.gaussians, (fused.submap >= first_b).numpy())
-    return MergedMap(fused.gaussians, fused.submap, labels, a.taxonomy)
+    return MergedMap(fused.gaussians, fused.submap, labels, a.taxonomy, instances)
+
+
+def _instances(
+    runs: tuple[FinishedRun, FinishedRun], fused: FusedMap, first_b: int, T_a_b: NDArray[np.float64]
+) -> InstanceMap | None:
+    """The objects of both maps; objects that overlap are one."""
+    a, b = (load_objects(run.folder) for run in runs)
+    if b is not None:
+        b = replace(b, submap=b.submap + np.int32(first_b))
+    if a is None and b is None:
+        return None
+    none = np.zeros(0, np.int32)
+    empty = SavedObjects([], np.zeros((0, 3)), none, none)
+    objects = joined(a or empty, b or empty, T_a_b)
+    parts = zip(fused.numbers, fused.parts(), strict=True)
+    return objects.carried({n: objects.of(n, p.means.double().numpy()) for n, p in parts})
 
 
 def _without_features(submap: Submap) -> Submap:

@@ -16,6 +16,7 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.depth_lookup import depths_at
 from toolkit.io.object_embeddings import ObjectEmbeddings
 from toolkit.io.visualisation import colour_image
 from toolkit.keyframe import evenly_spaced
@@ -32,6 +33,8 @@ Box = tuple[int, int, int, int]
 
 # A Gaussian is visible if it is at most this far behind the rendered surface.
 _TOLERANCE_M, _RELATIVE_TOLERANCE = 0.05, 0.02
+# Gaussians nearer than this are behind the camera.
+_NEAR_M = 0.05
 # Views that show less of an object are not used: visible Gaussians and their share, side in pixels.
 _MIN_GAUSSIANS, _MIN_SHARE, _MIN_SIDE = 10, 0.15, 16
 # The box is that of these percentiles of the visible pixels, plus a margin on every side: encoders
@@ -117,7 +120,7 @@ def embed_objects(
             fused[number] = found
     hidden = len(objects) - len(fused)
     _log.info("Embedded %d objects from %d views; %d are hidden.", len(fused), len(views), hidden)
-    return _collected(objects, fused, encoder.name)
+    return collected(objects, fused, encoder.name)
 
 
 def find_views(
@@ -172,21 +175,17 @@ def _view(
 ) -> ObjectView | None:
     """Return the view of an object from its Gaussians [n, 3], None if too little is visible."""
     points_m = se3.transform_points(se3.inverse(frame.T_map_camera), points_m)
-    front = points_m[points_m[:, 2] > 0.05]
-    pixels = camera.project(front).round()
-    inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
-    x, y = pixels[inside].astype(int).T
-    z = front[inside, 2]
-    surface = depth_m[y, x]
-    visible = (surface > 0) & (z <= surface * (1 + _RELATIVE_TOLERANCE) + _TOLERANCE_M)
+    at = depths_at(points_m, depth_m, camera, _NEAR_M)
+    limit_m = at.depth_m * (1 + _RELATIVE_TOLERANCE) + _TOLERANCE_M
+    visible = (at.depth_m > 0) & (at.z_m <= limit_m)
     share = visible.sum() / len(points_m)
     if visible.sum() < _MIN_GAUSSIANS or share < _MIN_SHARE:
         return None
-    box = _box(x[visible], y[visible], camera)
+    box = _box(at.column[visible], at.row[visible], camera)
     width, height = box[2] - box[0], box[3] - box[1]
     if min(width, height) < _MIN_SIDE:
         return None
-    distance_m = float(np.median(z[visible]))
+    distance_m = float(np.median(at.z_m[visible]))
     weight = view_weights(
         np.array([float(width * height)]), np.array([distance_m]), np.array([min(share, 1.0)])
     )
@@ -218,11 +217,13 @@ def _embedded(
     return np.concatenate(found)
 
 
-def _collected(
+def collected(
     objects: Sequence[SceneObject], fused: dict[int, FusedEmbedding], model: str
 ) -> ObjectEmbeddings:
+    """Return objects with embeddings, by their numbers in a sequence of objects."""
     nodes = [objects[number].node for number in fused]
     centres_m = [objects[number].box.centre_m for number in fused]
+    instances = np.array([objects[number].instance for number in fused], np.int32)
     return ObjectEmbeddings(
         np.array(list(fused), np.int32),
         np.array([node.class_ids[0] if node.leaf else VOID for node in nodes], np.int32),
@@ -230,4 +231,5 @@ def _collected(
         np.array([found.weight for found in fused.values()], np.float32),
         model,
         np.array(centres_m, np.float32).reshape(-1, 3),
+        instances if instances.any() else None,
     )

@@ -50,7 +50,8 @@ from toolkit.runs.evaluation import (
 )
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.frame_records import frame_records
-from toolkit.runs.map_files import labelled_parts, object_values
+from toolkit.runs.instance_files import write_instances
+from toolkit.runs.map_files import labelled_parts
 from toolkit.runs.modes import mode_of
 from toolkit.runs.report_pictures import (
     level_images,
@@ -119,7 +120,7 @@ def write_results(
     folder.write_trajectory(result.trajectory, result.covariances)
     folder.write_map(labelled_parts(scene, result.map, result, settings))
     if result.instances is not None:
-        folder.write_json(folder.objects, object_values(result.instances, result.taxonomy))
+        write_instances(result.instances, folder, result.taxonomy)
     write_separate_parts(result, folder, settings)
     states, parts = frame_states(result), part_summaries(result)
     summary = [*record.findings, *summary_lines(states, parts)]

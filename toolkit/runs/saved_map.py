@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.base import Dataset
 from toolkit.errors import SettingsError
+from toolkit.instances.saved import SavedObjects
 from toolkit.io.splats import is_splat_file
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.building import build_run_labeller
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.modes import mode_of
+from toolkit.runs.saved_objects import load_objects
 from toolkit.runs.settings import RunSettings
 from toolkit.runs.splat_map import open_splat_map, summary
 from toolkit.slam.system import Slam
@@ -38,12 +40,14 @@ class SavedMap:
         place: the run folder or the splat file.
         submaps: in their order.
         semantics: state of the features' decoder; empty for a map without labels.
+        objects: objects of its Gaussians; None without instances.
         source: how a splat file was scaled, for `saved_map.json`; None for the map of a run.
     """
 
     place: Path
     submaps: Mapping[int, Submap]
     semantics: dict[str, NDArray]
+    objects: SavedObjects | None = None
     source: dict[str, Any] | None = None
 
 
@@ -63,11 +67,13 @@ def open_saved_map(settings: RunSettings, dataset: Dataset | None) -> SavedMap |
         )
     if is_splat_file(settings.map):
         found = open_splat_map(settings.map, settings, dataset)
-        return SavedMap(settings.map, {0: found.submap}, {}, summary(settings.map, found))
+        source = summary(settings.map, found)
+        return SavedMap(settings.map, {0: found.submap}, {}, source=source)
     saved = load_run(settings.map)
     _check_descriptors(saved, settings)
     _check_semantics(saved, settings, dataset)
-    return SavedMap(saved.folder.path, saved.submaps, saved.folder.read_semantics())
+    semantics, objects = saved.folder.read_semantics(), load_objects(saved.folder)
+    return SavedMap(saved.folder.path, saved.submaps, semantics, objects)
 
 
 def _check_descriptors(saved: FinishedRun, settings: RunSettings) -> None:
@@ -137,6 +143,8 @@ def load_saved_map(slam: Slam, saved: SavedMap, folder: RunFolder) -> None:
             yield submap.renumbered(number, -last - _INDEX_GAP)
 
     slam.load_map(renumbered())
+    if saved.objects is not None:
+        slam.load_objects(saved.objects.renumbered(list(submaps)), -last - _INDEX_GAP)
 
 
 def _unlabelled(submap: Submap, semantics: SemanticMapping) -> Submap:

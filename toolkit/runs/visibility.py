@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from toolkit.datasets.resize import ImageGrid
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.depth_lookup import depths_at
 from toolkit.rendering import backend, render_surface
 from toolkit.runs.finished import FinishedRun
 
@@ -60,17 +61,14 @@ class KeyframeViews:
     def sight(self, view: int, points_m: Array) -> Sight:
         """Return how a view sees points [N, 3] of the map."""
         local = se3.transform_points(se3.inverse(self.T_map_camera[view]), points_m)
-        z = np.maximum(local[:, 2], _NEAR_M)
-        columns, rows = np.rint(self.camera.project(np.column_stack([local[:, :2], z]))).T
-        inside = (local[:, 2] > _NEAR_M) & (columns >= 0) & (rows >= 0)
-        inside &= (columns < self.camera.width) & (rows < self.camera.height)
-        depth_m = np.zeros(len(points_m))
-        places = rows[inside].astype(int), columns[inside].astype(int)
-        depth_m[inside] = self.depth_m[view][places]
-        known = np.isfinite(depth_m) & (depth_m > 0)
-        gap = np.where(known, depth_m - z, 0.0)
-        tolerance = _SAME_M + _SAME_SHARE * z
-        return Sight(known & (np.abs(gap) <= tolerance), known & (gap > tolerance))
+        at = depths_at(local, self.depth_m[view], self.camera, _NEAR_M)
+        known = np.isfinite(at.depth_m) & (at.depth_m > 0)
+        gap = np.where(known, at.depth_m.astype(np.float64) - at.z_m, 0.0)
+        tolerance = _SAME_M + _SAME_SHARE * at.z_m
+        surface, through = np.zeros((2, len(points_m)), bool)
+        surface[at.index] = known & (np.abs(gap) <= tolerance)
+        through[at.index] = known & (gap > tolerance)
+        return Sight(surface, through)
 
     def end_points(self, view: int) -> tuple[Array, NDArray[np.bool_]]:
         """Return the surface points [H, W, 3] of a view in the map, and which are known [H, W]."""

@@ -16,6 +16,7 @@ from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.instances.finishing import finish_instances
 from toolkit.instances.result import InstanceMap
+from toolkit.instances.saved import SavedObjects
 from toolkit.instances.tracking import InstanceTracker
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
@@ -144,6 +145,11 @@ class Slam:
         self._unit = self.unit  # later frames must not choose another one
         self.atlas.load_map(map(self.unit.submap, submaps))
         self._closer.map_loaded(self.atlas)
+
+    def load_objects(self, saved: SavedObjects, offset: int) -> None:
+        """Load the objects of the Gaussians of a loaded map; as `InstanceTracker.load`."""
+        if self._instances is not None:
+            self._instances.load(saved, offset)
 
     def prepare(self, frame: Frame) -> None:
         """Do work for a later frame that does not depend on the map; results do not change.
@@ -303,7 +309,7 @@ class Slam:
                 label_saved(self.atlas, self.mapper, parts)
                 free_space = self.mapper.options.free_space
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
-                if self._instances is not None:
+                if self._instances is not None and not self._instances.is_idle:
                     with self._recorder.timed(Stage.INSTANCE_VOTES):
                         self._instance_map = finish_instances(
                             self._instances, self.atlas, self._fused

@@ -14,11 +14,15 @@ from numpy.typing import NDArray
 from toolkit.batch.refining.stored_map import StoredMap
 from toolkit.batch.refining.tasks import Work
 from toolkit.exposure import Exposure
+from toolkit.geometry import se3
+from toolkit.instances.result import InstanceMap
 from toolkit.io import storage
 from toolkit.io.arrays import arrays_below
 from toolkit.refinement.fusion import FusedMap, fuse_submaps, single_submap
 from toolkit.runs.folder import MapPart, RunFolder
+from toolkit.runs.instance_files import write_instances
 from toolkit.runs.map_files import splat_labels
+from toolkit.runs.saved_objects import load_objects
 
 Array = NDArray[np.float64]
 
@@ -78,6 +82,7 @@ def assemble(task: AssemblyTask) -> Assembled:
         if source.taxonomy is not None:
             features = np.concatenate([part.features.half().numpy() for part in fused.parts()])
             folder.write_semantics(features, semantics.state(), source.taxonomy)
+        instances = _instances(source, refined, fused)
         confidence = source.settings.semantics.min_confidence
 
         def labelled() -> Iterator[MapPart]:
@@ -87,15 +92,41 @@ def assemble(task: AssemblyTask) -> Assembled:
                     # As stored: the file contains rounded features.
                     decoding = semantics.decode_gaussians(part.features.half().float())
                     labels = splat_labels(decoding, confidence)
-                yield MapPart(source.unit.cloud_in_metres(part), labels, number)
+                objects = None if instances is None else instances.ids[number]
+                yield MapPart(source.unit.cloud_in_metres(part), labels, number, objects)
 
         folder.write_map(labelled())
         storage.upload(folder.map, storage.join(task.work.out, "map.ply"))
+        if instances is not None:
+            write_instances(instances, folder, source.taxonomy)
+            for path in filter(Path.is_file, (folder.objects, folder.embeddings)):
+                storage.upload(path, storage.join(task.work.out, path.name))
         if source.taxonomy is not None:
             for file in ("arrays.npz", "metadata.json"):
                 place = storage.join(task.work.out, "semantics", file)
                 storage.upload(folder.semantics / file, place)
     return Assembled(len(fused), fused.exposures)
+
+
+def _instances(source: StoredMap, refined: StoredMap, fused: FusedMap) -> InstanceMap | None:
+    """The objects of the map, which its submaps keep as they move; None without instances."""
+    with TemporaryDirectory() as name:
+        folder = RunFolder(Path(name))
+        present = set(storage.names_in(source.place))
+        for path in (folder.map, folder.objects, folder.embeddings):
+            if path.name in present:
+                path.write_bytes(storage.read_bytes(storage.join(source.place, path.name)))
+        saved = load_objects(folder) if folder.objects.is_file() else None
+    if saved is None:
+        return None
+    ids = {}
+    for number, part in zip(fused.numbers, fused.parts(), strict=True):
+        T_old, T_new = (
+            source.unit.pose_in_metres(one.anchors[number]) for one in (source, refined)
+        )
+        means_m = source.unit.cloud_in_metres(part).means.double().numpy()
+        ids[number] = saved.of(number, means_m, T_old @ se3.inverse(T_new))
+    return saved.carried(ids, separate_parts=True)
 
 
 def _fused(source: StoredMap) -> FusedMap:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -48,6 +49,11 @@ def load_model(auto_class: str, folder: Path, may_be_new: tuple[str, ...] = ()) 
     """
     library = transformers()
     check_folder(folder)
+    if not hasattr(library, auto_class):
+        raise DependencyError(
+            f"transformers {library.__version__} has no {auto_class}, which {folder} needs; update "
+            f"it with: {_REMEDY} --upgrade"
+        )
     with _quiet(library), _as_format_error(folder, f"no model for {auto_class}"):
         model, found = getattr(library, auto_class).from_pretrained(
             folder, local_files_only=True, output_loading_info=True, dtype=torch.float32
@@ -95,6 +101,23 @@ def load_tokenizer(folder: Path) -> Any:
         )
     with _quiet(library), _as_format_error(folder, "no tokenizer"):
         return library.AutoTokenizer.from_pretrained(folder, local_files_only=True)
+
+
+def model_type(folder: Path) -> str:
+    """Return the kind of model that a folder contains, as its config.json names it.
+
+    Raises:
+        FormatError: there is no config.json, or it is damaged or names no kind.
+    """
+    check_folder(folder)
+    file = folder / "config.json"
+    try:
+        found = json.loads(file.read_text(encoding="utf-8")).get("model_type")
+    except (OSError, ValueError, AttributeError) as error:
+        raise FormatError(f"{file} cannot be read ({error}); download it again") from error
+    if not isinstance(found, str):
+        raise FormatError(f"{file} names no model_type; set the folder of a transformers model")
+    return found
 
 
 def weights_digest(model: Any) -> str:

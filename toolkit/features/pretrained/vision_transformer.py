@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +12,11 @@ from torch import Tensor
 
 from toolkit.errors import FormatError
 from toolkit.features.pretrained.loading import device_of, load_model, weights_digest
-
-# ImageNet statistics, for models without preprocessor_config.json.
-_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+from toolkit.features.pretrained.preprocessing import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    ImagePreprocessing,
+)
 
 
 @dataclass(frozen=True)
@@ -108,15 +109,7 @@ class VisionTransformer:
 
 def _normalisation(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Read the colour mean and standard deviation of the model's preprocessing."""
-    file = folder / "preprocessor_config.json"
-    if not file.is_file():
-        return _MEAN, _STD
-    try:
-        values = json.loads(file.read_text(encoding="utf-8"))
-        mean, std = values.get("image_mean", _MEAN), values.get("image_std", _STD)
-        mean, std = tuple(float(v) for v in mean), tuple(float(v) for v in std)
-    except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise FormatError(f"{file} cannot be read ({error}); download it again") from error
-    if len(mean) != 3 or len(std) != 3 or min(std) <= 0:
-        raise FormatError(f"{file}: image_mean and image_std must be three numbers each")
-    return mean, std
+    if not (folder / "preprocessor_config.json").is_file():
+        return IMAGENET_MEAN, IMAGENET_STD
+    found = ImagePreprocessing.load(folder)
+    return found.mean, found.std
