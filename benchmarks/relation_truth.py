@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from toolkit.exports.free_space import ENCLOSING_NAMES
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES
 from toolkit.semantics.relations import Role
+from toolkit.semantics.roles import ENCLOSING_NAMES
 from toolkit.semantics.scene import WALL_NAMES
 from toolkit.synthetic_rooms.layouts import LAYOUTS, Layout, build_parts
 from toolkit.synthetic_rooms.parts import Part

@@ -74,6 +74,7 @@ class RunFolder:
         self.renders = path / "renders"
         self.taxonomy = path / "taxonomy.yaml"
         self.objects = path / "objects.json"
+        self.scene_graph = path / "scene_graph.json"
         self.semantics = path / "semantics"
         self.submaps = path / "submaps"
         self.metrics = path / "metrics.json"
