@@ -89,6 +89,9 @@ class LiveRelations:
             cameras_m: [P, 3] positions of the camera.
             count: maximum number of objects; all if None.
         """
+        if count is None:
+            for number in self._roles:
+                self.body(number, ground)
         for number in list(self._waiting)[:count]:
             del self._waiting[number]
             self._compare(number, ground, cameras_m)
