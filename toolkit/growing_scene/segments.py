@@ -71,7 +71,8 @@ def labelled_segments(keyframe: Keyframe) -> Segments | None:
     labels = keyframe.class_ids.numpy()[sampled, sampled].astype(np.int32)
     depth_m = keyframe.depth_m.numpy()[sampled, sampled]
     labels = np.where((depth_m > 0) & ~_jumps(depth_m), labels, 0)
-    ids, classes = np.zeros(labels.shape, np.int32), []
+    ids = np.zeros(labels.shape, np.int32)
+    classes: list[int] = []
     for number in np.unique(labels[labels > 0]).tolist():
         mask = (labels == number).astype(np.uint8)
         count, pieces, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
