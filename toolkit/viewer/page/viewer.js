@@ -40,6 +40,7 @@ class Viewer {
         this.navigation.flying = !this.navigation.flying;
         this.panel.setNavigation(this.navigation.flying);
       },
+      object: (number) => { this.lines.chooseObject(number); this.redraw(true); },
       viewFrom: (keyframe) => { this.camera.setPose(keyframe.pose); this.moved(); },
     };
   }
