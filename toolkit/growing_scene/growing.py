@@ -49,7 +49,7 @@ _YOUNG = 8
 # Number of objects whose relations are computed per keyframe; others wait.
 _OBJECTS_PER_KEYFRAME = 2
 # An object that has grown by this share is compared again.
-_GROWN = 0.1
+_GROWN = 0.25
 # The floor is fitted again when its number of voxels has grown by this factor.
 _FLOOR_GROWTH, _FLOOR_POINTS, _MIN_FLOOR = 1.5, 400, 40
 # Bodies are not computed again if the floor has moved by less (radians and metres).

@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 # Objects beyond this distance cannot support or contain an object; those beyond the other one
 # horizontally cannot be below it.
 _REACH_M, _BELOW_M = 0.2, 0.1
-# An object whose box has changed by more than this is compared with its neighbours again.
-_CHANGED_M = 0.1
 # Points of a body: larger objects are thinned out.
 _MAX_POINTS = 1500
 
@@ -135,9 +133,7 @@ class LiveRelations:
             self._hang(number, numbers[flat].tolist())
             ahead = (gap[:, :2] <= self._options.facing_m).all(axis=1)
             self._face(number, numbers[ahead].tolist(), ground, cameras_m)
-        if old is None or np.abs(np.stack([old.low - body.low, old.high - body.high])).max() > (
-            _CHANGED_M
-        ):
+        if old is None:  # its neighbours may stand on it
             around = numbers[(gap <= _REACH_M).all(axis=1)].tolist()
             for k in around:
                 if self._roles[k] == "object":
