@@ -140,6 +140,13 @@ def test_books_are_in_the_shelf_between_its_boards_and_on_its_top():
     assert not any(r[0] == "shelf" and r[1] in ("on", "in") for r in related)
 
 
+def test_a_chair_faces_the_shelf_and_not_the_books_in_it():
+    books = sheet((1.2, 0.25, 0.42), (0.5, 0, 0), (0, 0, 0.3), 0.02)
+    chair = seat(1.2, 1.0, 1.5)
+    related = found(shelf=shelf(), books=books, chair=chair)
+    assert {r for r in related if r[1] == "facing"} == {("chair", "facing", "shelf")}
+
+
 def test_a_plate_does_not_contain_what_is_higher_than_its_rim():
     plate, cake = box(1.0, 1.0, 0.0, 0.4, lid=False), box(1.1, 1.1, 0.02, 0.2)
     low = plate[plate[:, 2] < 0.1]

@@ -158,6 +158,9 @@ class LiveRelations:
 
     def _face(self, number: int, ahead: list[int], ground: Ground, cameras_m: Array) -> None:
         self._facing.pop(number, None)
+        contained = {k for k, found in self._vertical.items() if any(r.kind == "in" for r in found)}
+        if number in contained:
+            return
         floor = np.array([0.0, 0.0, ground.height_m])
         body = self._bodies[number]
         front = front_of(body.points - floor, cameras_m @ ground.axes - floor)
@@ -170,6 +173,7 @@ class LiveRelations:
             k
             for k in ahead
             if self._roles[k] == "object"
+            and k not in contained
             and self._bodies[k].bottom - ground.height_m <= MAX_FACED_M
             and not groups.same(number, k)
         ]

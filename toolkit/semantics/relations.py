@@ -106,12 +106,15 @@ def relations(
     cameras = np.empty((0, 3)) if cameras_m is None else cameras_m @ ground.axes
     floor = np.array([0.0, 0.0, ground.height_m])
     groups = Groups([*vertical, *above], roles)
-    fronts = {k: front_of(bodies[k].points - floor, cameras - floor) for k in things}
+    # What is in a shelf neither faces anything nor is faced: the shelf is.
+    contained = {r.source for r in vertical if r.kind == "in"}
+    free = [k for k in things if k not in contained]
+    fronts = {k: front_of(bodies[k].points - floor, cameras - floor) for k in free}
     facing = []
     for source, front in fronts.items():
         if front is None:
             continue
-        others = [k for k in things if k != source and not groups.same(source, k)]
+        others = [k for k in free if k != source and not groups.same(source, k)]
         others = [k for k in others if bodies[k].bottom - ground.height_m <= MAX_FACED_M]
         target = nearest_ahead(bodies[source], front, others, bodies, options.facing_m)
         if target is not None:
