@@ -12,7 +12,6 @@ from box_room import CEILING, CRATE, CUPBOARD, FLOOR, OBJECT, SURFACE, WALL, wal
 from toolkit.geometry import se3
 from toolkit.growing_scene.growing import GrowingScene
 from toolkit.growing_scene.objects import Fragment
-from toolkit.growing_scene.options import GrowingSceneOptions
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.storeys import find_storeys
 from toolkit.semantics.taxonomy import Taxonomy
@@ -53,7 +52,7 @@ def grown(keyframes: list[Keyframe], scene: GrowingScene, atlas: OneSubmap) -> G
 
 
 def new_scene() -> GrowingScene:
-    return GrowingScene(GrowingSceneOptions(graph=True), TAXONOMY)
+    return GrowingScene(TAXONOMY)
 
 
 def nodes_of(content: dict, name: str) -> list[dict]:

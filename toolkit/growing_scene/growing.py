@@ -13,7 +13,6 @@ from toolkit.geometry import se3
 from toolkit.geometry.voxels import voxel_keys, voxels_of
 from toolkit.growing_scene.live_relations import LiveRelations
 from toolkit.growing_scene.objects import GrowingObject
-from toolkit.growing_scene.options import GrowingSceneOptions
 from toolkit.growing_scene.rooms import ViewFan, fan_of
 from toolkit.growing_scene.segments import (
     Segments,
@@ -42,6 +41,8 @@ Keys = NDArray[np.int64]
 _SHARED, _MIN_SHARED, _MIN_VOXELS = 0.1, 2, 4
 # Objects of two submaps are one if they share this share of the smaller one's voxels of this edge.
 _SAME_SHARE, _SAME_EDGES = 0.3, 2.0
+# Edge of the voxels that represent objects, in metres.
+VOXEL_M = 0.05
 # Factor of the edge of voxels of walls, floors and openings, which are large.
 _COARSER = 2.0
 # Objects that only one of this many keyframes saw are errors of labels.
@@ -62,18 +63,16 @@ class GrowingScene:
     """Objects, relations and rooms of a run.
 
     Args:
-        options: size of voxels.
         taxonomy: classes of the labels.
         instances: tracks objects; by default, objects are connected surfaces of one class.
     """
 
     def __init__(
         self,
-        options: GrowingSceneOptions,
         taxonomy: Taxonomy,
         instances: InstanceTracker | None = None,
     ) -> None:
-        self._options, self._taxonomy, self._instances = options, taxonomy, instances
+        self._taxonomy, self._instances = taxonomy, instances
         self._leaves = {n.class_ids[0]: n for n in taxonomy.nodes if n.leaf}
         self._class_of = {n.name: class_id for class_id, n in self._leaves.items()}
         roles = Roles(taxonomy)
@@ -85,7 +84,7 @@ class GrowingScene:
         }
         self._colours = colour_table()
         self.objects: dict[int, GrowingObject] = {}
-        contact_m = RelationOptions.contact_m + options.voxel_m
+        contact_m = RelationOptions.contact_m + VOXEL_M
         self._live = LiveRelations(self._points, RelationOptions(contact_m))
         self._poses: dict[int, Array] = {}
         self._fans: list[ViewFan] = []
@@ -156,7 +155,7 @@ class GrowingScene:
         roles = [self._role_of.get(int(k), "object") for k in segments.class_ids]
         scale = np.array([1.0 if role == "object" else _COARSER for role in roles])
         voxels = voxels_of_segments(
-            segments, keyframe, self._options.voxel_m * scale, metres_per_unit, self._colours
+            segments, keyframe, VOXEL_M * scale, metres_per_unit, self._colours
         )
         for k, found in voxels.items():
             number = int(segments.objects[k - 1])
@@ -301,7 +300,7 @@ class GrowingScene:
         known = self._coarse.get((number, submap))
         if known is None or known[0] != len(part.keys):
             points = se3.transform_points(self._poses[submap], part.points_m(1))
-            edge_m = _SAME_EDGES * self._options.voxel_m
+            edge_m = _SAME_EDGES * VOXEL_M
             known = len(part.keys), np.unique(voxel_keys(voxels_of(points, edge_m)))
             self._coarse[number, submap] = known
         return known[1]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from toolkit.options import PositiveFloat
-
 
 @dataclass(frozen=True)
 class GrowingSceneOptions:
@@ -15,5 +13,3 @@ class GrowingSceneOptions:
     """Keep objects, their relations, rooms and storeys up to date with every keyframe, and write
     them to scene_graph.json. Objects are those of --instances if they are on, else connected
     surfaces of one class."""
-    voxel_m: PositiveFloat = 0.05
-    """Edge of the voxels that represent objects, in metres."""

@@ -94,7 +94,7 @@ def build_slam(
                 "--scene.graph needs class labels: use a dataset with label images, or add a "
                 "segmenter with --segmenter.kind"
             )
-        slam.grow_scene(GrowingScene(settings.scene, taxonomy, instances))
+        slam.grow_scene(GrowingScene(taxonomy, instances))
     return slam
 
 
