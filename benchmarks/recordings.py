@@ -50,6 +50,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     # Shelves of small objects of 300 classes.
     "collection": ("--classes", "300", "--frames", "100", "--image-size", "160", "120"),
     "hall": ("--layout", "hall", "--frames", "2400", *_SMALL),
+    "hall-short": ("--layout", "hall", "--frames", "800", *_TINY),
     "hall-large": ("--layout", "hall", "--frames", "3600", *_NOISE),
     "long": ("--layout", "long", *_SMALL),
 }

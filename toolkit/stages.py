@@ -20,6 +20,7 @@ class Stage(StrEnum):
     RELOCALISATION = "relocalisation"
     LABELLING = "labelling"
     INSTANCES = "instances"
+    SCENE_GRAPH = "scene graph"
     DEPTH_PRIOR = "depth prior"
     PLACING = "placing"
     MAPPING = "mapping"
@@ -66,7 +67,7 @@ COLUMNS: dict[Column, tuple[Stage, ...]] = {
         Stage.TRACKING,
         Stage.RELOCALISATION,
     ),
-    Column.LABELLING: (Stage.LABELLING, Stage.INSTANCES),
+    Column.LABELLING: (Stage.LABELLING, Stage.INSTANCES, Stage.SCENE_GRAPH),
     Column.MAPPING: (Stage.DEPTH_PRIOR, Stage.PLACING, Stage.MAPPING),
     Column.LOOPS: (Stage.LOOP_DETECTION, Stage.LOOPS_WITHIN, Stage.LOOPS_BETWEEN),
 }

@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from labelled_room import (
@@ -233,3 +234,20 @@ def test_bad_parts_are_reported_in_one_line(finished, tmp_path, capsys, words, s
     line = one_line_of_error(capsys, "export", finished, "--to", tmp_path / "a.ply", *words)
     assert said in line
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_picture_highlights_what_was_found(finished, tmp_path):
+    file = tmp_path / "chairs.png"
+    assert main(["query", str(finished), "chair", "--picture", str(file)]) == 0
+    image = cv2.imread(str(file)).astype(int)
+    blue, red = image[..., 0], image[..., 2]
+    assert (red - blue > 60).mean() > 0.005  # the chairs and their outline
+    assert (np.ptp(image, axis=2) < 12).mean() > 0.3  # the rest is grey
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [(["chair", "--picture", "chairs.jpg"], "chairs.jpg"), (["--picture", "all.png"], "--picture")],
+)
+def test_pictures_that_cannot_be_made_are_errors(capsys, finished, words, named):
+    assert named in one_line_of_error(capsys, "query", finished, *words)

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from labelled_room import IDS, LENGTH_M, TAXONOMY, WIDTH_M, labelled, room_parts
 
-from toolkit.semantics.floor_plan import draw_floor_plan, floor_plan
+from toolkit.semantics.floor_plan import (
+    PlanDrawing,
+    PlanEdge,
+    PlanNode,
+    draw_floor_plan,
+    floor_plan,
+)
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import LabelledMap
 
@@ -50,3 +56,26 @@ def test_the_legend_can_be_left_out(plan):
     bare, whole = (draw_floor_plan(plan, palette, legend) for legend in (False, True))
     assert bare.shape[1] < whole.shape[1]
     np.testing.assert_array_equal(bare, whole[:, : bare.shape[1]])
+
+
+def test_a_graph_is_drawn_between_its_objects(plan):
+    places = np.zeros((2, 3))
+    inverse = np.linalg.pinv(plan.T_pixels_map[:, :3])
+    height, width = plan.class_ids.shape
+    for place, share in zip(places, (0.25, 0.75), strict=True):
+        pixel = np.array([share * width, height / 2])
+        place[:] = inverse @ (pixel - plan.T_pixels_map[:, 3])
+    nodes = [PlanNode(str(k), place) for k, place in enumerate(places)]
+    none = np.empty((0, 3))
+    drawings = [
+        PlanDrawing([], none, none, none, nodes, [PlanEdge(kind, *places)] if kind else [])
+        for kind in ("", "on", "facing")
+    ]
+    palette = Palette(TAXONOMY)
+    bare, on, facing = (
+        draw_floor_plan(plan, palette, legend=False, drawing=drawing) for drawing in drawings
+    )
+    middle = np.s_[bare.shape[0] // 2, bare.shape[1] // 2]
+    assert (bare[middle] != on[middle]).any() and (on[middle] != facing[middle]).any()
+    legend = draw_floor_plan(plan, palette, drawing=drawings[1])
+    assert legend.shape[1] > bare.shape[1]

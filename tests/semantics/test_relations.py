@@ -122,3 +122,88 @@ def test_screens_face_the_side_from_which_they_are_seen(camera_y, faces):
     camera = se3.transform_points(T_MAP_ROOM, np.array([[2.0, camera_y, 1.5]]))
     related = relations(points, GROUND, ["floor", "object", "object"], None, camera)
     assert any(r.kind == "facing" and (r.source, r.target) == (2, 1) for r in related) == faces
+
+
+def shelf(z: float = 0.0) -> np.ndarray:
+    """The front edges of a shelf with boards 0.4 m apart: what a camera sees of a full one."""
+    boards = [sheet((1.0, 0.25, z + 0.4 * k), (1.0, 0, 0), (0, 0.05, 0), 0.02) for k in range(3)]
+    sides = [sheet((x, 0.25, z), (0, 0.05, 0), (0, 0, 0.8), 0.02) for x in (1.0, 2.0)]
+    return np.concatenate([*boards, *sides])
+
+
+def test_books_are_in_the_shelf_between_its_boards_and_on_its_top():
+    books = sheet((1.2, 0.25, 0.42), (0.5, 0, 0), (0, 0, 0.3), 0.02)
+    top = sheet((1.2, 0.26, 0.82), (0.5, 0, 0), (0, 0, 0.2), 0.02)
+    related = found(shelf=shelf(), books=books, top=top)
+    assert ("books", "in", "shelf") in related
+    assert ("top", "on", "shelf") in related
+    assert not any(r[0] == "shelf" and r[1] in ("on", "in") for r in related)
+
+
+def test_a_chair_faces_the_shelf_and_not_the_books_in_it():
+    books = sheet((1.2, 0.25, 0.42), (0.5, 0, 0), (0, 0, 0.3), 0.02)
+    chair = seat(1.2, 1.0, 1.5)
+    related = found(shelf=shelf(), books=books, chair=chair)
+    assert {r for r in related if r[1] == "facing"} == {("chair", "facing", "shelf")}
+
+
+def test_a_plate_does_not_contain_what_is_higher_than_its_rim():
+    plate, cake = box(1.0, 1.0, 0.0, 0.4, lid=False), box(1.1, 1.1, 0.02, 0.2)
+    low = plate[plate[:, 2] < 0.1]
+    assert ("cake", "in", "plate") not in found(plate=low, cake=cake)
+
+
+def test_furniture_stands_on_the_floor_that_it_hides():
+    hidden = FLOOR[~((FLOOR[:, :2] > [1.0, 1.0]) & (FLOOR[:, :2] < [2.0, 2.0])).all(axis=1)]
+    chest = box(1.0, 1.0, 0.0, 1.0)
+    assert ("chest", "on", "floor") in found(floor=hidden, chest=chest)
+
+
+def test_things_beside_each_other_on_a_table_do_not_support_each_other():
+    bodies = {"a": box(2.0, 1.3, TABLE_TOP_M, 0.1), "b": box(2.08, 1.3, TABLE_TOP_M, 0.1)}
+    related = found(table=table(1.5, 1.0), **bodies)
+    assert {r for r in related if r[1] == "on"} == {("a", "on", "table"), ("b", "on", "table")}
+
+
+def test_pictures_hang_at_walls_but_cupboards_do_not():
+    wall = sheet((0, 0, 0), (4, 0, 0), (0, 0, 2.5))
+    picture = sheet((1.0, 0.03, 1.2), (0.6, 0, 0), (0, 0, 0.4), 0.02)
+    cupboard = box(2.0, 0.05, 1.0, 0.6)
+    related = found(wall=wall, picture=picture, cupboard=cupboard)
+    assert ("picture", "on", "wall") in related
+    assert ("cupboard", "on", "wall") not in related
+
+
+def test_beds_have_no_front_although_they_have_a_back():
+    bed = np.concatenate(
+        [sheet((1, 0.2, 0.5), (1.6, 0, 0), (0, 2.0, 0)), sheet((1, 0.2, 0), (1.6, 0, 0), (0, 0, 1))]
+    )
+    stool = box(1.5, 2.4, 0.0, 0.4)
+    assert not any(kind == "facing" for _, kind, _ in found(bed=bed, stool=stool))
+
+
+def test_a_sofa_with_arms_faces_the_table_and_not_its_cushion():
+    sofa = np.concatenate(
+        [
+            sheet((1, 0.2, 0.45), (2.0, 0, 0), (0, 0.8, 0), 0.02),
+            sheet((1, 0.2, 0.0), (2.0, 0, 0), (0, 0, 0.8), 0.02),
+            sheet((1, 0.2, 0.62), (0.2, 0, 0), (0, 0.8, 0), 0.02),
+            sheet((2.8, 0.2, 0.62), (0.2, 0, 0), (0, 0.8, 0), 0.02),
+        ]
+    )
+    cushion, stool = box(1.9, 0.7, 0.47, 0.2), box(1.8, 1.4, 0.0, 0.4)
+    related = found(sofa=sofa, cushion=cushion, stool=stool)
+    assert {r for r in related if r[1] == "facing"} == {("sofa", "facing", "stool")}
+
+
+def test_a_screen_does_not_face_the_cabinet_below_it():
+    screen = sheet((1.6, 0.0, 1.0), (1.0, 0, 0), (0, 0, 0.6), 0.02)
+    cabinet, sofa = box(1.8, 0.05, 0.0, 0.6), box(1.8, 1.4, 0.0, 0.5)
+    points = [se3.transform_points(T_MAP_ROOM, b) for b in (FLOOR, screen, cabinet, sofa)]
+    camera = se3.transform_points(T_MAP_ROOM, np.array([[2.0, 2.5, 1.5]]))
+    roles = ["floor", "object", "object", "object"]
+    related = relations(points, GROUND, roles, None, camera)
+    assert {(r.source, r.kind, r.target) for r in related if r.source == 1} == {
+        (1, "above", 2),
+        (1, "facing", 3),
+    }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,7 +14,13 @@ from toolkit.cli.main import main
 from toolkit.gaussians.ellipsoids import harmonic_basis
 from toolkit.io.splat_shapes import relative_covariances
 from toolkit.viewer.html import link_from_report, write_page
-from toolkit.viewer.scene import HARMONIC_STEPS, ShownKeyframe, ShownSplats, ViewerScene
+from toolkit.viewer.scene import (
+    HARMONIC_STEPS,
+    ShownKeyframe,
+    ShownObject,
+    ShownSplats,
+    ViewerScene,
+)
 
 # Pixels on the table and on the wall, in the first view.
 TABLE, WALL = (350, 280), (570, 280)
@@ -260,3 +268,33 @@ def test_colours_depend_on_the_view(browser, tmp_path):
             assert middle == pytest.approx(expected.clip(0, 255), abs=4), (count, yaw)
         assert watched.errors == []
         watched.page.close()
+
+
+def test_the_tree_of_objects_marks_the_chosen_one(browser, tmp_path):
+    scene = two_panels()
+    low, high = scene.splats.means_m.min(axis=0), scene.splats.means_m.max(axis=0)
+    corners = np.array([[(low, high)[i >> a & 1][a] for a in range(3)] for i in range(8)])
+    hostile = "<img src=x onerror=alert(1)>"
+    objects = (
+        ShownObject("table 0", "room 1", corners, ("next to lamp 1",)),
+        ShownObject(hostile, "room 1", corners + 100.0),
+    )
+    write_page(tmp_path / "viewer.html", replace(scene, objects=objects))
+    watched = WatchedPage(browser)
+    watched.page.goto((tmp_path / "viewer.html").as_uri())
+    drawn(watched)
+    entries = watched.page.locator("#graph button")
+    assert entries.all_text_contents() == ["table 0", hostile]
+    before = settled(watched)
+    entries.first.click()
+    assert entries.first.get_attribute("aria-pressed") == "true"
+    assert watched.page.locator("#graph li:visible").all_text_contents() == ["next to lamp 1"]
+    marked = settled(watched)[:, 300:]
+    yellow = (marked[..., 0] > 200) & (marked[..., 1] > 150) & (marked[..., 2] < 120)
+    assert yellow.sum() > 50 and (marked != before[:, 300:]).any()
+    entries.first.click()
+    assert entries.first.get_attribute("aria-pressed") == "false"
+    unmarked = settled(watched)[:, 300:]
+    assert (unmarked[yellow] != marked[yellow]).any(axis=1).mean() > 0.9
+    assert watched.errors == []
+    watched.page.close()

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from toolkit.cli.map_programs import ExportOptions
 from toolkit.exports.floors import export_occupancy_grid
+from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.plans import export_floor_plan
 from toolkit.exports.scene_graph import export_scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
@@ -21,6 +23,7 @@ from toolkit.io.trajectories import write_tum
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
 from toolkit.viewer.html import link_from_report, write_page
 from toolkit.viewer.reading import run_scene
+from toolkit.viewer.shown_objects import shown_objects
 
 _log = logging.getLogger(__name__)
 
@@ -128,6 +131,9 @@ def _floor_plan(options: ExportOptions, selection: SelectedGaussians) -> str:
 
 def _viewer(options: ExportOptions, selection: SelectedGaussians) -> str:
     scene = run_scene(selection, options.viewer)
+    if options.viewer.graph:
+        mapped = map_scene(selection, options.objects, options.floor, options.grid)
+        scene = replace(scene, objects=shown_objects(mapped))
     size = write_page(options.to, scene)
     if link_from_report(options.to, selection.run.folder.report):
         _log.info("Linked it from %s.", selection.run.folder.report)

@@ -191,6 +191,9 @@ class QueryProgram:
     """Write the selected classes as a point cloud (.ply, .pcd): the centres of their Gaussians."""
     mesh: Path | None = None
     """Write the selected classes as a mesh (.ply), fused from renderings at the run's poses."""
+    picture: Path | None = None
+    """Write a picture (.png) of the view that shows most of the found classes, with these
+    highlighted and the numbers of the objects in the table. It needs NODES."""
     summary: Path | None = None
     """Write the scene as JSON: the taxonomy with counts, all objects with bounding boxes, and the
     dimensions of the room."""

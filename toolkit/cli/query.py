@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from toolkit.cli.programs import QueryProgram
 from toolkit.cli.similar_objects import ranking_lines, rankings
+from toolkit.errors import SettingsError
 from toolkit.io.atomic import write_bytes
+from toolkit.io.images import write_png
 from toolkit.io.length_names import LengthNames
 from toolkit.io.meshes import write_mesh
 from toolkit.io.printable import printable
 from toolkit.runs.finished import load_run
+from toolkit.runs.highlights import Marker, highlighted_view
 from toolkit.runs.labelled import LabelledRun, label, load_labelled_run
 from toolkit.runs.meshing import MeshOptions, part_mesh, write_opaque_points
 from toolkit.semantics.lexicon.matching import match
@@ -38,6 +41,7 @@ def main(options: QueryProgram) -> int:
         ToolkitError: there is no finished run with labels, a name matches nothing in its taxonomy,
             nothing was found, or a file cannot be written.
     """
+    _check_picture(options)
     if options.encoder or options.embedding:
         return _search(options)
     labelled = load_labelled_run(options.run)
@@ -56,6 +60,10 @@ def main(options: QueryProgram) -> int:
         mesh = part_mesh(labelled.run, gaussians, mesh_options)
         write_mesh(options.mesh, mesh, labelled.run.origin_m)
         _log.info("Wrote %s to %s.", mesh, options.mesh)
+    if options.picture:
+        image = highlighted_view(labelled.run, selected, _markers(options, reader))
+        write_png(options.picture, image)
+        _log.info("Wrote the picture to %s.", options.picture)
     if options.summary:
         write_bytes(
             options.summary,
@@ -63,6 +71,25 @@ def main(options: QueryProgram) -> int:
         )
         _log.info("Wrote the scene to %s.", options.summary)
     return 0
+
+
+def _check_picture(options: QueryProgram) -> None:
+    """Check that a picture can be made, before the map is read."""
+    if options.picture is None:
+        return
+    if options.picture.suffix.lower() != ".png":
+        raise SettingsError(f"--picture {options.picture} must be a .png file")
+    if not options.nodes or options.encoder or options.embedding:
+        raise SettingsError("--picture shows classes: name some, without --encoder or --embedding")
+
+
+def _markers(options: QueryProgram, reader: SceneReader) -> list[Marker]:
+    """The number of each object in the table, at the centre of its box."""
+    return [
+        Marker(str(number), np.array(item["box"]["centre_m"]))
+        for name in options.nodes
+        for number, item in enumerate(reader.answer(name)["objects"], start=1)
+    ]
 
 
 def _search(options: QueryProgram) -> int:

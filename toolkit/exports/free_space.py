@@ -16,13 +16,12 @@ from toolkit.geometry import se3
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from toolkit.runs.visibility import KeyframeViews
 from toolkit.semantics.boxes import Ground
+from toolkit.semantics.roles import ENCLOSING_NAMES
 from toolkit.semantics.rooms import RoomMap, RoomOptions, find_rooms
 from toolkit.semantics.scene import WALL_NAMES
 
 Mask = NDArray[np.bool_]
 
-# Classes that enclose rooms. A door that is open leaves its frame, a closed one separates.
-ENCLOSING_NAMES = (*WALL_NAMES, "window", "door", "blinds", "curtain", "pillar", "column")
 # Without a class of walls, everything at this height above the floor counts as a wall.
 _HIGH_M = 1.2
 # Largest hole of the observed floor that is filled, in square metres: gaps between Gaussians, and

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.exports.floors import required_ground
-from toolkit.exports.free_space import ENCLOSING_NAMES, FreeSpace, free_space
+from toolkit.exports.free_space import FreeSpace, free_space
 from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.runs.visibility import KeyframeViews, keyframe_views
@@ -19,15 +19,15 @@ from toolkit.semantics.boxes import Ground
 from toolkit.semantics.colour_names import colour_name
 from toolkit.semantics.paths import Place
 from toolkit.semantics.query import (
-    CEILING_NAMES,
     FLOOR_NAMES,
     LabelledMap,
     ObjectOptions,
     SceneObject,
 )
-from toolkit.semantics.relations import Relation, RelationOptions, Role, relations
+from toolkit.semantics.relations import Relation, RelationOptions, relations
+from toolkit.semantics.roles import Roles
 from toolkit.semantics.rooms import RoomOptions
-from toolkit.semantics.scene import WALL_NAMES, SceneReader
+from toolkit.semantics.scene import SceneReader
 
 # A keyframe sees an object if it sees this share of its points and this number of them.
 _SEEN_SHARE, _SEEN_POINTS, _SAMPLES = 0.2, 3, 64
@@ -165,10 +165,8 @@ def map_scene(
     ground = required_ground(selection, floor)
     object_options = ObjectOptions(options.link_m, options.min_gaussians)
     objects = labelled.objects(None, ground, object_options)
-    floors = _paths(labelled, [*(floor or FLOOR_NAMES), *CEILING_NAMES])
-    walls = _paths(labelled, WALL_NAMES)
-    enclosing = [*floors, *_paths(labelled, ENCLOSING_NAMES)]
-    roles = [_role(found.node.path, floors, walls, enclosing) for found in objects]
+    known = Roles(labelled.taxonomy, floor or FLOOR_NAMES)
+    roles = [known.of(found.node.path) for found in objects]
     grid = grid or GridOptions()
     views = keyframe_views(selection.run)
     space = free_space(selection, ground, views, grid, RoomOptions(options.max_door_m))
@@ -192,24 +190,3 @@ def map_scene(
         floor or FLOOR_NAMES,
         grid,
     )
-
-
-def _paths(labelled: LabelledMap, names: Sequence[str]) -> list[tuple[str, ...]]:
-    return [labelled.taxonomy.find(name).path for name in labelled.known(names)]
-
-
-def _below(path: tuple[str, ...], others: Sequence[tuple[str, ...]]) -> bool:
-    return any(path[: len(other)] == other for other in others)
-
-
-def _role(
-    path: tuple[str, ...],
-    floors: Sequence[tuple[str, ...]],
-    walls: Sequence[tuple[str, ...]],
-    enclosing: Sequence[tuple[str, ...]],
-) -> Role:
-    if _below(path, floors):
-        return "floor"
-    if _below(path, walls):
-        return "wall"
-    return "opening" if _below(path, enclosing) else "object"

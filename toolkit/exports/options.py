@@ -45,6 +45,8 @@ class PlanOptions:
 
     rooms: bool = False
     """Draw the outlines, numbers and doors of rooms."""
+    graph: bool = False
+    """Draw the objects of the scene graph with their numbers and relations, and rooms."""
     path: tuple[int, int] | None = None
     """Draw the shortest free path between two objects, by their numbers in the scene graph, and
     rooms."""

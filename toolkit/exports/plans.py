@@ -17,7 +17,13 @@ from toolkit.exports.options import GridOptions, ObjectGraphOptions, PlanOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.images import write_png
 from toolkit.io.occupancy import OccupancyGrid
-from toolkit.semantics.floor_plan import PlanDrawing, draw_floor_plan, floor_plan
+from toolkit.semantics.floor_plan import (
+    PlanDrawing,
+    PlanEdge,
+    PlanNode,
+    draw_floor_plan,
+    floor_plan,
+)
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.paths import FreePath, PathFinder
 
@@ -61,10 +67,10 @@ def export_floor_plan(
     radii_m = opaque.gaussians.radii_m.numpy().astype(float)
     plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
     drawing, found, rooms = None, None, None
-    if options.rooms or options.path is not None:
+    if options.rooms or options.graph or options.path is not None:
         scene = map_scene(selection, objects, floor, grid)
         found = _path(scene, options)
-        drawing, rooms = _drawing(scene, found), len(scene.space.rooms)
+        drawing, rooms = _drawing(scene, found, options.graph), len(scene.space.rooms)
     names = selection.run.length_names
     write_png(path, draw_floor_plan(plan, palette, names=names, drawing=drawing))
     return WrittenPlan(len(plan.areas), rooms, found)
@@ -83,14 +89,30 @@ def _path(scene: MappedScene, options: PlanOptions) -> FreePath | None:
     return PathFinder(scene.space.grid).shortest(start, goal, options.width_m)
 
 
-def _drawing(scene: MappedScene, path: FreePath | None) -> PlanDrawing:
+def _drawing(scene: MappedScene, path: FreePath | None, graph: bool) -> PlanDrawing:
     rooms, grid = scene.space.rooms, scene.space.grid
     return PlanDrawing(
         [(f"room {k + 1}", _outlines(rooms.numbers == k, grid)) for k in range(len(rooms))],
         grid.points_of(np.array(rooms.centres, np.intp).reshape(-1, 2)),
         grid.points_of(np.array([door.cell for door in rooms.doors], np.intp).reshape(-1, 2)),
         np.empty((0, 3)) if path is None else path.points_m,
+        *(_graph(scene) if graph else ((), ())),
     )
+
+
+def _graph(scene: MappedScene) -> tuple[list[PlanNode], list[PlanEdge]]:
+    """The objects in rooms, and the relations between them."""
+    nodes = {
+        number: PlanNode(str(number), found.box.centre_m)
+        for number, found in enumerate(scene.objects)
+        if not scene.enclosing[number]
+    }
+    edges = [
+        PlanEdge(r.kind, nodes[r.source].centre_m, nodes[r.target].centre_m)
+        for r in scene.relations
+        if r.source in nodes and r.target in nodes
+    ]
+    return list(nodes.values()), edges
 
 
 def _outlines(room: NDArray[np.bool_], grid: OccupancyGrid) -> list[NDArray[np.float64]]:

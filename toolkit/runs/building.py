@@ -8,9 +8,11 @@ import numpy as np
 
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.depth_priors.correction import DepthCorrection
+from toolkit.errors import SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.features.factory import build_differentiable_describer
 from toolkit.features.sources import ViewDescriber
+from toolkit.growing_scene.growing import GrowingScene
 from toolkit.instances.factory import build_instances
 from toolkit.loops.closing.factory import ClosingContext
 from toolkit.mapping.mapper import Mapper
@@ -87,6 +89,13 @@ def build_slam(
     continues = settings.map is not None
     instances = build_instances(settings.instances, names, stems, continues)
     slam = Slam(front_end, mapper, atlas, sources, recorder, instances)
+    if settings.scene.graph:
+        if taxonomy is None:
+            raise SettingsError(
+                "--scene.graph needs class labels: use a dataset with label images, or add a "
+                "segmenter with --segmenter.kind"
+            )
+        slam.grow_scene(GrowingScene(taxonomy, instances))
     return slam
 
 

@@ -77,6 +77,7 @@ class RunFolder:
         self.taxonomy = path / "taxonomy.yaml"
         self.objects = path / "objects.json"
         self.embeddings = path / OBJECTS
+        self.scene_graph = path / "scene_graph.json"
         self.semantics = path / "semantics"
         self.submaps = path / "submaps"
         self.metrics = path / "metrics.json"

@@ -121,6 +121,8 @@ def write_results(
     folder.write_map(labelled_parts(scene, result.map, result, settings))
     if result.instances is not None:
         write_instances(result.instances, folder, result.taxonomy)
+    if result.scene_graph is not None:
+        folder.write_json(folder.scene_graph, result.scene_graph)
     write_separate_parts(result, folder, settings)
     states, parts = frame_states(result), part_summaries(result)
     summary = [*record.findings, *summary_lines(states, parts)]

@@ -13,6 +13,7 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.depth_priors.options import DepthPriorOptions
 from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
+from toolkit.growing_scene.options import GrowingSceneOptions
 from toolkit.instances.options import InstanceOptions
 from toolkit.io.user_files import read_text
 from toolkit.loops.closing.options import LoopClosureOptions
@@ -81,6 +82,7 @@ class RunSettings:
     segmenter: SegmenterOptions = SegmenterOptions()
     semantics: SemanticsOptions = SemanticsOptions()
     instances: InstanceOptions = InstanceOptions()
+    scene: GrowingSceneOptions = GrowingSceneOptions()
     submaps: SubmapOptions = SubmapOptions()
     loops: LoopClosureOptions = LoopClosureOptions()
     registration: RegistrationOptions = RegistrationOptions()

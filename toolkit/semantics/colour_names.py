@@ -31,11 +31,22 @@ def colour_name(rgb: NDArray[np.floating], weights: NDArray[np.floating]) -> str
         rgb: [N, 3] sRGB colours in [0, 1], N >= 1.
         weights: [N] areas.
     """
+    share = np.bincount(_nearest(rgb), weights=weights, minlength=len(_TYPICAL))
+    return COLOUR_NAMES[int(share.argmax())]
+
+
+def colour_table() -> NDArray[np.uint8]:
+    """Return the index [32, 32, 32] into COLOUR_NAMES of colours with 5 bits per channel."""
+    channels = np.stack(np.meshgrid(*[np.arange(32)] * 3, indexing="ij"), axis=-1)
+    return _nearest((channels.reshape(-1, 3) + 0.5) / 32.0).reshape(32, 32, 32).astype(np.uint8)
+
+
+def _nearest(rgb: NDArray[np.floating]) -> NDArray[np.intp]:
+    """Return the index [N] into COLOUR_NAMES of colours [N, 3] in [0, 1]."""
     typical = np.array([value for values in _TYPICAL.values() for value in values], np.float32)
     owner = np.repeat(np.arange(len(_TYPICAL)), [len(values) for values in _TYPICAL.values()])
     gap = np.linalg.norm(_lab(rgb)[:, None] - _lab(typical / 255.0), axis=2)
-    share = np.bincount(owner[gap.argmin(axis=1)], weights=weights, minlength=len(_TYPICAL))
-    return COLOUR_NAMES[int(share.argmax())]
+    return np.asarray(owner[gap.argmin(axis=1)])
 
 
 def _lab(rgb: NDArray[np.floating]) -> NDArray[np.float32]:

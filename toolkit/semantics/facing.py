@@ -7,14 +7,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# A seat: its front half ends at this height above the floor and at most at this share of the
-# height of the object; the rest above it is the back.
-_SEAT_M, _SEAT_SHARE = (0.25, 0.65), 0.7
-_MAX_SIDE_M = 3.0
+# A seat: the middle of its front half ends at this height above the floor and at most at this share
+# of the height of the object. The back is what is higher than the arms.
+_SEAT_M, _SEAT_SHARE, _BACK_SHARE = (0.25, 0.65), 0.7, 0.82
+# Limits of the sides of a seat: a bed has a back as well, but is deeper.
+_MIN_SIDE_M, _MAX_SIDE_M, _MAX_DEPTH_M = 0.3, 3.0, 1.3
 # Minimum distance from the back to the middle of the object, relative to its depth.
 _MIN_OFFSET = 0.15
-# A panel (screen, picture, board) is upright, thin relative to its width and above the floor.
-_PANEL_RATIO, _MAX_PANEL_M = 0.3, 0.15
+# A panel (screen, picture, board) is upright, thin relative to its width and above the floor. Its
+# lowest part can be a foot, which is not thin.
+_PANEL_RATIO, _MAX_PANEL_M, _FOOT_SHARE = 0.3, 0.15, 0.4
 _MIN_PANEL_M, _MIN_PANEL_HEIGHT_M = 0.2, 0.3
 # Minimum number of points of a back.
 _MIN_POINTS = 8
@@ -29,28 +31,47 @@ def front_of(points: Array, cameras: Array) -> Array | None:
     """
     low, high = points.min(axis=0), points.max(axis=0)
     size = high - low
-    flat = points[:, :2] - points[:, :2].mean(axis=0)
-    _, axes = np.linalg.eigh(np.cov(flat.T) if len(flat) > 2 else np.eye(2))
-    extent = np.ptp(flat @ axes, axis=0)  # along the thin axis, along the wide axis
-    thin, wide = (float(v) for v in extent)
+    upper = points[points[:, 2] >= low[2] + _FOOT_SHARE * size[2]]
+    axes, (thin, wide) = _flat_axes(upper)
     if thin <= min(_MAX_PANEL_M, _PANEL_RATIO * wide) and low[2] >= _MIN_PANEL_HEIGHT_M:
         if min(wide, size[2]) < _MIN_PANEL_M:
             return None
-        return _seen_side(axes[:, 0], points[:, :2].mean(axis=0), cameras)
-    above = points[:, 2] > _SEAT_SHARE * high[2]
-    if wide > _MAX_SIDE_M or min(above.sum(), (~above).sum()) < _MIN_POINTS:
+        return _seen_side(axes[:, 0], upper[:, :2].mean(axis=0), cameras)
+    return _front_of_seat(points, float(high[2]))
+
+
+def _front_of_seat(points: Array, height_m: float) -> Array | None:
+    """Return the direction from the back of a seat to its middle; None if it is no seat."""
+    axes, extent = _flat_axes(points)
+    above = points[:, 2] > _BACK_SHARE * height_m
+    if (
+        extent[0] < _MIN_SIDE_M
+        or extent[1] > _MAX_SIDE_M
+        or min(above.sum(), (~above).sum()) < _MIN_POINTS
+    ):
         return None
     along = points[:, :2] @ axes
     # The middle of extents instead of means: density of points varies.
-    offset = _middle(along) - _middle(along[above])
+    middle = _middle(along)
+    offset = middle - _middle(along[above])
     axis = int((np.abs(offset) / np.maximum(extent, 1e-6)).argmax())
-    if abs(offset[axis]) < _MIN_OFFSET * extent[axis]:
+    if abs(offset[axis]) < _MIN_OFFSET * extent[axis] or extent[axis] > _MAX_DEPTH_M:
         return None
-    front = np.sign(offset[axis]) * axes[:, axis]
-    ahead = points[:, :2] @ front > float(_middle(points[:, :2] @ front))
+    # Between the arms.
+    across = np.abs(along[:, 1 - axis] - middle[1 - axis]) <= extent[1 - axis] / 4
+    ahead = across & (np.sign(offset[axis]) * (along[:, axis] - middle[axis]) > 0)
+    if not ahead.any():
+        return None
     seat_m = float(np.percentile(points[ahead, 2], 95))
-    is_seat = _SEAT_M[0] <= seat_m <= min(_SEAT_M[1], _SEAT_SHARE * high[2])
-    return np.asarray(front) if is_seat else None
+    is_seat = _SEAT_M[0] <= seat_m <= min(_SEAT_M[1], _SEAT_SHARE * height_m)
+    return np.asarray(np.sign(offset[axis]) * axes[:, axis]) if is_seat else None
+
+
+def _flat_axes(points: Array) -> tuple[Array, Array]:
+    """Return the horizontal axes [2, 2] of points as columns, the thin one first, and extents."""
+    flat = points[:, :2] - points[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov(flat.T) if len(flat) > 2 else np.eye(2))
+    return axes, np.ptp(flat @ axes, axis=0)
 
 
 def _middle(places: Array) -> Array:

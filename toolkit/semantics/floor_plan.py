@@ -29,6 +29,14 @@ _MIN_WIDTH, _MAX_SIDE = 480, 3000
 _MIN_AREA_M2 = 0.02
 _BACKGROUND, _INK = (245, 246, 248), (40, 48, 58)
 _ROOM, _WAY = (250, 140, 20), (215, 40, 40)
+# Colours of relations; arrows lead from the source to the target, but neighbours are mutual.
+_RELATIONS = {
+    "on": (30, 120, 60),
+    "in": (150, 40, 170),
+    "above": (20, 110, 200),
+    "facing": (210, 60, 40),
+    "next to": (120, 124, 130),
+}
 # Gaussians higher than this percentile of the heights are the ceiling where it has no label.
 _TOP_PERCENT = 97.0
 
@@ -73,6 +81,23 @@ class FloorPlan:
 
 
 @dataclass(frozen=True)
+class PlanNode:
+    """An object over a floor plan: a short text, and its place [3] in the map."""
+
+    text: str
+    centre_m: Array
+
+
+@dataclass(frozen=True)
+class PlanEdge:
+    """A relation over a floor plan: its kind, and the places [3] of the two objects."""
+
+    kind: str
+    source_m: Array
+    target_m: Array
+
+
+@dataclass(frozen=True)
 class PlanDrawing:
     """What is drawn over a floor plan.
 
@@ -81,12 +106,16 @@ class PlanDrawing:
         centres_m: [R, 3] places of the labels.
         doors_m: [D, 3] places of the doors.
         way_points_m: [P, 3] a path; empty for none.
+        nodes: objects of a graph.
+        edges: relations between them.
     """
 
     rooms: Sequence[tuple[str, Sequence[Array]]]
     centres_m: Array
     doors_m: Array
     way_points_m: Array
+    nodes: Sequence[PlanNode] = ()
+    edges: Sequence[PlanEdge] = ()
 
 
 def floor_plan(
@@ -186,10 +215,13 @@ def draw_floor_plan(
         cv2.polylines(image, [points], False, _INK, 1, cv2.LINE_AA)
     if drawing is not None:
         _draw_rooms(image, plan, factor, drawing)
+        _draw_graph(image, plan, factor, drawing)
     _draw_scale(image, factor / plan.pixel_m, names)
     if not legend:
         return image
-    entries = [LegendEntry(f"{a.name} {a.area_m2:.2f} {names.area}", a.colour) for a in plan.areas]
+    shown = {edge.kind for edge in drawing.edges} if drawing is not None else set()
+    entries = [LegendEntry(kind, colour) for kind, colour in _RELATIONS.items() if kind in shown]
+    entries += [LegendEntry(f"{a.name} {a.area_m2:.2f} {names.area}", a.colour) for a in plan.areas]
     return with_legend(image, entries)
 
 
@@ -221,3 +253,26 @@ def _draw_rooms(image: RgbImage, plan: FloorPlan, factor: int, drawing: PlanDraw
         cv2.polylines(image, [points], False, _WAY, 3, cv2.LINE_AA)
         for end in (points[0].tolist(), points[-1].tolist()):
             cv2.circle(image, end, 5, _WAY, -1, cv2.LINE_AA)
+
+
+def _draw_graph(image: RgbImage, plan: FloorPlan, factor: int, drawing: PlanDrawing) -> None:
+    """Draw the relations of objects as arrows, and the objects as discs with their texts."""
+
+    def pixel(place_m: Array) -> tuple[int, int]:
+        x, y = np.rint(factor * plan.pixels(place_m[None])[0]).astype(int).tolist()
+        return x, y
+
+    for edge in sorted(drawing.edges, key=lambda e: e.kind != "next to"):
+        start, end = pixel(edge.source_m), pixel(edge.target_m)
+        colour = _RELATIONS.get(edge.kind, _INK)
+        if edge.kind == "next to":
+            cv2.line(image, start, end, colour, 1, cv2.LINE_AA)
+        else:
+            length = max(float(np.hypot(end[0] - start[0], end[1] - start[1])), 1.0)
+            cv2.arrowedLine(image, start, end, colour, 2, cv2.LINE_AA, tipLength=12.0 / length)
+    for node in drawing.nodes:
+        centre = pixel(node.centre_m)
+        cv2.circle(image, centre, 10, (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.circle(image, centre, 10, _INK, 1, cv2.LINE_AA)
+        place = (centre[0] - 4 * len(node.text), centre[1] + 4)
+        cv2.putText(image, node.text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.38, _INK, 1, cv2.LINE_AA)

@@ -141,7 +141,7 @@ class SceneReader:
             "instance": found.instance or None,
             "gaussians": len(found),
             "confidence": round(found.confidence, _DECIMALS),
-            "box": _box_values(found.box),
+            "box": box_values(found.box),
             "distance_m": round(float(np.linalg.norm(offsets_m, axis=1).min()), _DECIMALS),
             "floor_area_m2": self._area([found.index]),
         }
@@ -153,7 +153,7 @@ class SceneReader:
             return None
         box = oriented_box(self.map.means_m[shell], self.ground)
         return {
-            "box": _box_values(box),
+            "box": box_values(box),
             "floor_area_m2": self._area([self._without_noise(self.floor)]),
         }
 
@@ -184,7 +184,8 @@ def _shared(paths: Sequence[list[str]]) -> list[str]:
     return [names[0] for names in itertools.takewhile(lambda names: len(set(names)) == 1, steps)]
 
 
-def _box_values(box: OrientedBox) -> dict[str, Any]:
+def box_values(box: OrientedBox) -> dict[str, Any]:
+    """Return centre, size and axes of a box as JSON values."""
     return {
         "centre_m": box.centre_m.round(_DECIMALS).tolist(),
         "size_m": box.size_m.round(_DECIMALS).tolist(),

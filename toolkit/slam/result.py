@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -225,6 +226,7 @@ class SlamResult:
         other_parts: the other parts, as far as frames were tracked in them.
         units_per_metre: of the unit of length in which the system worked; see `LengthUnit`.
         instances: objects of the map; None before `finish`, and without instances.
+        scene_graph: the graph that grew with the map, in node-link format; None without one.
         keyframe_indices: frame indices of all keyframes of this sequence, in order. A keyframe on
             the boundary of two submaps counts once; those of a loaded map do not count.
         submaps: all submaps by number.
@@ -259,6 +261,7 @@ class SlamResult:
     other_parts: list[SeparatePart] = field(default_factory=list)
     units_per_metre: float = 1.0
     instances: InstanceMap | None = field(default=None, repr=False)
+    scene_graph: dict[str, Any] | None = field(default=None, repr=False)
 
     @property
     def gaussians(self) -> GaussianCloud:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.geometry import se3
+from toolkit.growing_scene.growing import GrowingScene
 from toolkit.instances.finishing import finish_instances
 from toolkit.instances.result import InstanceMap
 from toolkit.instances.saved import SavedObjects
@@ -61,6 +62,7 @@ _Part = (
     | IntermediateFrames
     | DepthCorrection
     | InstanceTracker
+    | GrowingScene
 )
 
 
@@ -106,6 +108,7 @@ class Slam:
         self._fused: list[FusedMap | None] = []
         self._instances = instances
         self._instance_map: InstanceMap | None = None
+        self._scene: GrowingScene | None = None
 
     @property
     def unit(self) -> LengthUnit:
@@ -150,6 +153,15 @@ class Slam:
         """Load the objects of the Gaussians of a loaded map; as `InstanceTracker.load`."""
         if self._instances is not None:
             self._instances.load(saved, offset)
+
+    def grow_scene(self, scene: GrowingScene) -> None:
+        """Keep a scene graph up to date with every keyframe, from the first frame on."""
+        self._scene = scene
+
+    @property
+    def scene(self) -> GrowingScene | None:
+        """The scene graph that grows with the map; None without one."""
+        return self._scene
 
     def prepare(self, frame: Frame) -> None:
         """Do work for a later frame that does not depend on the map; results do not change.
@@ -212,6 +224,9 @@ class Slam:
         if self._instances is not None:
             with self._recorder.timed(Stage.INSTANCES):
                 self._instances.update(self.atlas.active, self.atlas.keyframes)
+        if self._scene is not None:
+            with self._recorder.timed(Stage.SCENE_GRAPH):
+                self._scene.update(self.atlas, 1.0 / self.unit.per_metre)
         steps = 0 if mapping is None else mapping.steps
         self._path.add(frame, self.atlas, T_map_camera, tracking, steps)
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
@@ -306,6 +321,8 @@ class Slam:
                 refine_submaps(self.atlas, self.mapper, poses, progress)
                 if self.mapper.options.final_anchors:
                     align_anchors(self.atlas, self.mapper, parts)
+                if self._scene is not None:
+                    self._scene.finish(self.atlas, 1.0 / self.unit.per_metre)
                 label_saved(self.atlas, self.mapper, parts)
                 free_space = self.mapper.options.free_space
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
@@ -326,8 +343,9 @@ class Slam:
         """The current state of the run."""
         semantics, maps = self.mapper.semantics, self._fused
         found = collected(self.atlas, self._path, self._closer, maps, semantics, self.taxonomy)
-        found = replace(found, instances=self._instance_map)
-        return self.unit.result_in_metres(found)
+        found = self.unit.result_in_metres(replace(found, instances=self._instance_map))
+        graph = None if self._scene is None or not self._fused else self._scene.content()
+        return replace(found, scene_graph=graph)
 
     def store_in_metres(self) -> None:
         """Convert the stored submaps of a finished run; nothing may be processed afterwards."""
@@ -415,4 +433,5 @@ class Slam:
         }
         correction, instances = self._preparation.correction, self._instances
         parts |= {} if correction is None else {"correction": correction}
-        return parts if instances is None else parts | {"instances": instances}
+        parts |= {} if instances is None else {"instances": instances}
+        return parts if self._scene is None else parts | {"scene": self._scene}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ class Part:
         glow: minimum brightness in [0, 1]: 0 for ordinary surfaces, 1 for screens and lamps.
         finish: of the surfaces in glossy rooms.
         object_id: number of the object that the part belongs to, 0 for none.
+        T_room_piece: [4, 4] motion since the piece was made; the front of pieces is towards -y.
     """
 
     class_name: str
@@ -36,10 +37,12 @@ class Part:
     glow: float = 0.0
     finish: Finish = Finish.MATT
     object_id: int = 0
+    T_room_piece: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
     def transformed(self, T_new_old: NDArray[np.float64]) -> Part:
         """Return the part transformed by a rigid motion [4, 4]."""
-        return replace(self, patches=[patch.transformed(T_new_old) for patch in self.patches])
+        patches = [patch.transformed(T_new_old) for patch in self.patches]
+        return replace(self, patches=patches, T_room_piece=T_new_old @ self.T_room_piece)
 
 
 def moved(parts: list[Part], T_new_old: NDArray[np.float64]) -> list[Part]:

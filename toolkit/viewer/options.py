@@ -18,3 +18,6 @@ class ShownContent:
     """Maximum number of keyframes that are shown with their image, evenly spaced."""
     image_width: PositiveInt = 240
     """Maximum width of keyframe images, in pixels."""
+    graph: bool = False
+    """Show the scene graph of a labelled map as a tree of rooms and objects, whose entries mark the
+    object in the view. Only in the page of `semsplat export`."""

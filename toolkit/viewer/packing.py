@@ -101,6 +101,15 @@ def _header(scene: ViewerScene) -> dict[str, Any]:
             {"first": loop.first, "second": loop.second, "ends": loop.ends_m.ravel().tolist()}
             for loop in scene.loops
         ],
+        "objects": [
+            {
+                "name": one.name,
+                "room": one.room,
+                "corners": one.corners_m.round(4).ravel().tolist(),
+                "relations": list(one.relations),
+            }
+            for one in scene.objects
+        ],
         "notes": list(scene.notes),
         "length": scene.length,
         "palette": {

@@ -189,6 +189,24 @@ class ShownLoop:
 
 
 @dataclass(frozen=True)
+class ShownObject:
+    """An object of the scene graph.
+
+    Attributes:
+        name: its class and number.
+        room: name of its room, empty if it is in none.
+        corners_m: [8, 3] corners of its box; corner i is at the upper end of axis a if bit a of i
+            is set.
+        relations: lines about its relations.
+    """
+
+    name: str
+    room: str
+    corners_m: NDArray[np.float64]
+    relations: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class ViewerScene:
     """All that a viewer shows.
 
@@ -205,6 +223,7 @@ class ViewerScene:
         loops: verified loops.
         notes: lines about lost and doubtful frames, separate parts of the map and its unit.
         length: name of the unit of length.
+        objects: of the scene graph, by room; empty without one.
     """
 
     title: str
@@ -219,6 +238,7 @@ class ViewerScene:
     loops: tuple[ShownLoop, ...] = ()
     notes: tuple[str, ...] = ()
     length: str = "m"
+    objects: tuple[ShownObject, ...] = ()
 
     def __str__(self) -> str:
         return f"{len(self.splats)} of {self.total} Gaussians, {len(self.keyframes)} keyframes"

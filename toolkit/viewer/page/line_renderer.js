@@ -3,13 +3,15 @@
 const LOOP_RGB = [1.0, 0.36, 0.32];
 const FRUSTUM_RGB = [0.36, 0.62, 1.0];
 const CHOSEN_RGB = [1.0, 0.8, 0.2];
-const LINE_PIXELS = { path: 2.2, keyframes: 1.1, loops: 2.6 };
+const LINE_PIXELS = { path: 2.2, keyframes: 1.1, loops: 2.6, object: 3 };
+// Corners of a box that differ in one bit are connected.
+const BOX_EDGES = [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]];
 
 class LineRenderer {
   constructor(gl, scene) {
     this.gl = gl;
     Object.assign(this, buildProgram(gl, LINE_VERTEX, LINE_FRAGMENT));
-    this.shown = { path: true, keyframes: true, loops: true };
+    this.shown = { path: true, keyframes: true, loops: true, object: true };
     this.groups = {
       path: this.group(pathSegments(scene)),
       loops: this.group(loopSegments(scene.loops)),
@@ -21,6 +23,14 @@ class LineRenderer {
   /** Highlight the frustum of a keyframe. */
   choose(chosen) {
     this.groups.keyframes = this.group(frustumSegments(this.scene, chosen));
+  }
+
+  /** Draw the box of an object of the scene graph; none for null. */
+  chooseObject(chosen) {
+    const corners = chosen === null ? null : this.scene.objects[chosen].corners;
+    const corner = (i) => corners.slice(3 * i, 3 * i + 3);
+    this.groups.object = this.group(
+      corners ? BOX_EDGES.map(([a, b]) => [...corner(a), ...corner(b), ...CHOSEN_RGB, 1]) : []);
   }
 
   /** Upload segments: 10 numbers each, both ends and the colour. */

@@ -18,6 +18,7 @@ class Panel {
     this.buildModes();
     this.buildLevels();
     this.buildSearch();
+    this.buildGraph();
     this.buildLayers();
     this.buildButtons();
     if (scene.highlight) byId("query").value = scene.highlight;
@@ -54,6 +55,45 @@ class Panel {
   buildSearch() {
     byId("class-search").hidden = !this.scene.levels.length;
     byId("query").oninput = () => this.search(byId("query").value);
+  }
+
+  /** The scene graph as a tree: rooms, and the objects in them. */
+  buildGraph() {
+    const objects = this.scene.objects ?? [];
+    byId("graph").hidden = !objects.length;
+    this.entries = [];
+    const rooms = new Map();
+    objects.forEach((object, number) => {
+      if (!rooms.has(object.room)) rooms.set(object.room, []);
+      rooms.get(object.room).push(number);
+    });
+    for (const [room, numbers] of rooms) {
+      const branch = element("details", { open: rooms.size === 1 });
+      branch.append(element("summary", { textContent: `${room || "no room"} (${numbers.length})` }));
+      for (const number of numbers) branch.append(...this.objectEntry(number));
+      byId("graph").append(branch);
+    }
+  }
+
+  /** An entry of the tree, and its relations, which are shown while it is chosen. */
+  objectEntry(number) {
+    const { name, relations } = this.scene.objects[number];
+    const button = element("button", { type: "button", textContent: name, title: name });
+    button.setAttribute("aria-pressed", false);
+    const list = element("ul", { className: "soft", hidden: true });
+    list.append(...relations.map((textContent) => element("li", { textContent })));
+    button.onclick = () => this.chooseObject(this.chosenObject === number ? null : number);
+    this.entries[number] = { button, list };
+    return [button, list];
+  }
+
+  chooseObject(number) {
+    this.chosenObject = number;
+    this.entries.forEach(({ button, list }, other) => {
+      button.setAttribute("aria-pressed", other === number);
+      list.hidden = other !== number || !list.children.length;
+    });
+    this.actions.object(number);
   }
 
   buildLayers() {

@@ -41,6 +41,15 @@ class ViewCamera {
     this.yaw = Math.atan2(dot(forward, this.right0), dot(forward, this.ahead));
   }
 
+  /** Look at a place, from at least a distance of it, without moving the eye farther than needed. */
+  lookAt(place, distance) {
+    const eye = this.eye;
+    const away = norm(sub(place, eye));
+    if (away > 1e-6) this.setDirection(scale(sub(place, eye), 1 / away));
+    this.distance = Math.max(away, distance);
+    this.target = place;
+  }
+
   get forward() {
     const level = add(scale(this.ahead, Math.cos(this.yaw)), scale(this.right0, Math.sin(this.yaw)));
     return add(scale(level, Math.cos(this.pitch)), scale(this.up, Math.sin(this.pitch)));

@@ -40,8 +40,20 @@ class Viewer {
         this.navigation.flying = !this.navigation.flying;
         this.panel.setNavigation(this.navigation.flying);
       },
+      object: (number) => this.showObject(number),
       viewFrom: (keyframe) => { this.camera.setPose(keyframe.pose); this.moved(); },
     };
+  }
+
+  /** Mark an object of the scene graph and look at it; null for none. */
+  showObject(number) {
+    this.lines.chooseObject(number);
+    if (number === null) return this.redraw(true);
+    const { corners } = this.scene.objects[number];
+    const [low, high] = [corners.slice(0, 3), corners.slice(21, 24)];
+    const middle = scale(add(low, high), 0.5);
+    this.camera.lookAt(middle, 1.2 * norm(sub(high, low)));
+    return this.moved();
   }
 
   get pixelRatio() { return this.scale * Math.min(devicePixelRatio || 1, 2); }

@@ -1,0 +1,138 @@
+"""The scene graph of a room of boxes while the camera turns in it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from box_room import CEILING, CRATE, CUPBOARD, FLOOR, OBJECT, SURFACE, WALL, walk
+
+from toolkit.geometry import se3
+from toolkit.growing_scene.growing import GrowingScene
+from toolkit.growing_scene.objects import Fragment
+from toolkit.keyframe import Keyframe
+from toolkit.semantics.storeys import find_storeys
+from toolkit.semantics.taxonomy import Taxonomy
+
+NAMES = {FLOOR: "floor", WALL: "wall", CEILING: "ceiling", SURFACE: "table", OBJECT: "cabinet"}
+CLASSES = tuple(NAMES[k] for k in sorted(NAMES))
+TAXONOMY = Taxonomy({"things": list(CLASSES)}, classes=CLASSES, name="boxes")
+
+
+class OneSubmap:
+    """What the scene reads of an atlas with one submap."""
+
+    def __init__(self) -> None:
+        self.active, self.keyframes, self.pose = 0, [], np.eye(4)
+
+    def __len__(self) -> int:
+        return 1
+
+    def T_world_submap(self, number: int) -> np.ndarray:
+        return self.pose
+
+
+@pytest.fixture(scope="module")
+def keyframes() -> list[Keyframe]:
+    made = []
+    for view in walk(16):
+        keyframe = Keyframe.from_frame(view.frame, view.T_world_camera)
+        keyframe.class_ids = torch.from_numpy(view.classes.astype(np.int16))
+        made.append(keyframe)
+    return made
+
+
+def grown(keyframes: list[Keyframe], scene: GrowingScene, atlas: OneSubmap) -> GrowingScene:
+    for keyframe in keyframes:
+        atlas.keyframes.append(keyframe)
+        scene.update(atlas)
+    return scene
+
+
+def new_scene() -> GrowingScene:
+    return GrowingScene(TAXONOMY)
+
+
+def nodes_of(content: dict, name: str) -> list[dict]:
+    return [node for node in content["nodes"] if node["name"] == name]
+
+
+def test_objects_have_their_places_relations_and_room(keyframes):
+    atlas = OneSubmap()
+    scene = grown(keyframes, new_scene(), atlas)
+    scene.finish(atlas)
+    content = scene.content()
+    assert len(nodes_of(content, "floor")) == len(nodes_of(content, "room 1")) == 1
+    (floor,) = nodes_of(content, "floor")
+    assert floor["kind"] == "structure" and floor["storey"] == 1
+    centres = {tuple(np.round(box.mean(axis=0), 1)): box for box in (CRATE, CUPBOARD)}
+    found = {}
+    for node in nodes_of(content, "cabinet"):
+        for place, box in centres.items():
+            if np.abs(np.array(node["box"]["centre_m"]) - box.mean(axis=0)).max() < 0.35:
+                found[place] = node
+    assert len(found) == 2
+    on = {(e["source"], e["target"]) for e in content["edges"] if e["relation"] == "on"}
+    for node in found.values():
+        assert (node["id"], floor["id"]) in on
+        assert node["rooms"] == [1] and node["first_seen"] <= node["last_seen"]
+
+
+def test_a_resumed_scene_continues_identically(keyframes):
+    whole_atlas = OneSubmap()
+    whole = grown(keyframes, new_scene(), whole_atlas)
+    first_atlas = OneSubmap()
+    arrays, values = grown(keyframes[:7], new_scene(), first_atlas).state()
+    again = new_scene()
+    again.restore(arrays, json.loads(json.dumps(values)))
+    grown(keyframes[7:], again, first_atlas)
+    assert again.content() == whole.content()
+    (arrays, values), (expected, expected_values) = again.state(), whole.state()
+    assert values == expected_values and arrays.keys() == expected.keys()
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(array, expected[name], err_msg=name)
+
+
+def test_corrections_of_loops_move_the_graph(keyframes):
+    atlas = OneSubmap()
+    scene = grown(keyframes, new_scene(), atlas)
+    scene.finish(atlas)
+    before = scene.content()
+    atlas.pose = se3.exp(np.array([1.0, -0.5, 0.3, 0.0, 0.0, 0.4]))
+    scene.finish(atlas)
+    after = scene.content()
+    assert len(before["nodes"]) == len(after["nodes"])
+    centre = np.array(nodes_of(before, "table")[0]["box"]["centre_m"])
+    moved = np.array(nodes_of(after, "table")[0]["box"]["centre_m"])
+    np.testing.assert_allclose(moved, se3.transform_points(atlas.pose, centre[None])[0], atol=0.02)
+
+
+def test_without_a_floor_there_is_no_graph():
+    assert new_scene().content() is None
+
+
+def test_fragments_add_up_voxels_in_any_order():
+    rng = np.random.default_rng(0)
+    fragment, expected = Fragment(), {}
+    for _ in range(5):
+        keys = np.unique(rng.integers(0, 50, 20))
+        sums = rng.random((len(keys), 5))
+        fragment.add(keys, sums)
+        for key, row in zip(keys.tolist(), sums, strict=True):
+            expected[key] = expected.get(key, 0.0) + row
+    np.testing.assert_array_equal(fragment.keys, sorted(expected))
+    np.testing.assert_allclose(
+        fragment.sums_m[fragment.rows], [expected[k] for k in sorted(expected)]
+    )
+    assert fragment.overlap(np.array(sorted(expected))) == len(expected)
+
+
+def test_storeys_are_levels_of_the_floor_but_steps_are_not():
+    rng = np.random.default_rng(0)
+    levels = [0.0] * 500 + [0.3] * 80 + [2.8] * 300
+    storeys = find_storeys(np.array(levels) + rng.normal(0, 0.01, len(levels)), 0.0)
+    np.testing.assert_allclose(storeys.heights_m, [0.0, 2.8], atol=0.02)
+    assert [storeys.of(h) for h in (-0.1, 0.0, 1.5, 2.3, 2.7, 4.0)] == [0, 0, 0, 0, 1, 1]
+    assert list(find_storeys(np.zeros(0), 1.5).heights_m) == [1.5]

@@ -1,0 +1,1 @@
+"""Objects, their relations and rooms while the camera moves."""

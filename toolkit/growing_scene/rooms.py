@@ -1,0 +1,119 @@
+"""Rooms of a growing scene: walls and floors of its objects, and what the camera looked through."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from toolkit.keyframe import Keyframe
+from toolkit.semantics.rooms import RoomMap, find_rooms
+
+Array = NDArray[np.float64]
+
+_CELL_M = 0.1
+# Heights of what separates rooms; lower parts are floor.
+_MIN_HEIGHT_M, _MAX_HEIGHT_M = 0.15, 1.8
+# Directions of a keyframe that are drawn on the grid, and rows of the image in which they lie.
+_DIRECTIONS, _ROWS = 24, (0.25, 0.5, 0.75)
+# Objects belong to a room up to this distance outside of it.
+_WALL_M = 0.35
+
+
+@dataclass(frozen=True)
+class ViewFan:
+    """What a keyframe looked through.
+
+    Attributes:
+        submap: number of its submap.
+        points_m: [1 + R, D, 3] in the frame of the submap: the camera, repeated, and the ends of
+            rays in R rows of the image.
+    """
+
+    submap: int
+    points_m: Array
+
+    def camera_m(self, poses: Mapping[int, Array]) -> Array:
+        """Position [3] of the camera in the world."""
+        T = poses[self.submap]
+        return np.asarray(T[:3, :3] @ self.points_m[0, 0] + T[:3, 3])
+
+    def world_m(self, poses: Mapping[int, Array]) -> Array:
+        """The points [1 + R, D, 3] in the world."""
+        T = poses[self.submap]
+        return np.asarray(self.points_m @ T[:3, :3].T + T[:3, 3])
+
+
+def fan_of(submap: int, keyframe: Keyframe, metres_per_unit: float) -> ViewFan:
+    """Return what a keyframe looks through, in metres."""
+    height, width = keyframe.depth_m.shape
+    columns = np.linspace(0, width - 1, _DIRECTIONS).astype(int)
+    rows = [int(share * (height - 1)) for share in _ROWS]
+    camera = keyframe.camera
+    v, u = np.meshgrid(rows, columns, indexing="ij")
+    z = keyframe.depth_m.numpy()[v, u].astype(np.float64)
+    local = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=-1)
+    local = np.concatenate([np.zeros((1, len(columns), 3)), local])
+    T = keyframe.T_map_camera
+    return ViewFan(submap, (local @ T[:3, :3].T + T[:3, 3]) * metres_per_unit)
+
+
+class GrowingRooms:
+    """Rooms on a grid along the axes of the floor.
+
+    Args:
+        walls: [N, 3] points of what encloses rooms, along the axes of the floor; z is the height
+            above it.
+        inside: [M, 3] points of floors and objects.
+        fans: [1 + R, D, 3] points of what each keyframe looked through.
+    """
+
+    def __init__(self, walls: Array, inside: Array, fans: Sequence[Array]) -> None:
+        flat = np.concatenate([walls[:, :2], inside[:, :2], *(f[0, :1, :2] for f in fans)])
+        self._low = np.floor(flat.min(axis=0) / _CELL_M) - 2
+        size = (np.ceil(flat.max(axis=0) / _CELL_M) - self._low + 2).astype(int)
+        seen = np.zeros((int(size[1]), int(size[0])), np.uint8)
+        x, y = self._cells(inside).T
+        seen[y, x] = 1
+        for fan in fans:
+            for row in fan[1:]:
+                outline = np.vstack([fan[0, :1], row])
+                cv2.fillPoly(seen, [self._cells(outline).astype(np.int32)], 1)
+        wall = np.zeros(seen.shape, bool)
+        high = (walls[:, 2] >= _MIN_HEIGHT_M) & (walls[:, 2] <= _MAX_HEIGHT_M)
+        x, y = self._cells(walls[high]).T
+        wall[y, x] = True
+        closed = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)
+        rooms = find_rooms(closed & ~wall, _CELL_M)
+        if fans:
+            x, y = self._cells(np.stack([fan[0, 0] for fan in fans])).T
+            rooms = rooms.renumbered(rooms.numbers[y, x].astype(np.intp))
+        self.rooms: RoomMap = rooms
+        cells = np.argwhere(rooms.numbers >= 0)
+        self._tree = KDTree((cells[:, ::-1] + self._low + 0.5) * _CELL_M) if len(cells) else None
+        self._numbers = rooms.numbers[tuple(cells.T)]
+
+    def rooms_of(self, points: Array) -> dict[int, float]:
+        """Share of points [N, 3] in each room; walls belong to the nearest one."""
+        if self._tree is None or not len(points):
+            return {}
+        distance_m, nearest = self._tree.query(points[:, :2], distance_upper_bound=_WALL_M)
+        found = self._numbers[nearest[np.isfinite(distance_m)]]
+        numbers, counts = np.unique(found, return_counts=True)
+        return {int(k): float(n) / len(points) for k, n in zip(numbers, counts, strict=True)}
+
+    def place(self, cell: tuple[int, int]) -> Array:
+        """The place [2] of a cell (row, column) along the axes of the floor."""
+        return np.asarray((np.array(cell[::-1]) + self._low + 0.5) * _CELL_M)
+
+    def size_m(self, number: int) -> list[float]:
+        """Extents of a room along the axes of the floor."""
+        cells = np.argwhere(self.rooms.numbers == number)
+        return ((np.ptp(cells, axis=0)[::-1] + 1) * _CELL_M).round(2).tolist()
+
+    def _cells(self, points: Array) -> NDArray[np.int64]:
+        return (np.floor(points[:, :2] / _CELL_M) - self._low).astype(np.int64)
