@@ -60,7 +60,7 @@ class Revisit:
 
 
 def _tinted(texture: Texture, factors: tuple[float, float, float]) -> Texture:
-    return lambda canvas: texture(canvas) * np.float32(factors)
+    return lambda canvas: texture(canvas) * np.array(factors, np.float32)
 
 
 def _repainted(texture: Texture, rng: np.random.Generator) -> Texture:
