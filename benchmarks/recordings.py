@@ -39,6 +39,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "ring-changed": ("--layout", "ring-changed", "--frames", "450", *_SMALL),
     "twins-objects": ("--layout", "twins-objects", "--frames", "450", *_SMALL),
     "twins": ("--layout", "twins", "--frames", "1100", "--sensor-noise"),
+    "twins-small": ("--layout", "twins", "--frames", "450", *_SMALL),
     "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
     "orbit": ("--layout", "orbit", "--frames", "300", "--sensor-noise"),
     # A film of objects with a telephone, 720x1280, at the size to which a run reduces it.
