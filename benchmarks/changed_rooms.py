@@ -1,7 +1,7 @@
 """Loops in rooms that have changed when the camera returns, with and without objects.
 
-    python -m benchmarks.changed_rooms
-    python -m benchmarks.changed_rooms --rooms twins-small twins-objects --seeds 5
+python -m benchmarks.changed_rooms
+python -m benchmarks.changed_rooms --rooms twins-small twins-objects --seeds 5
 """
 
 from __future__ import annotations
@@ -52,9 +52,7 @@ class Options(ReportOptions):
 def main() -> None:
     """Measure all rooms."""
     options = tyro.cli(Options)
-    report = Report(
-        "changed_rooms", "Loops in changed rooms", TEXT, options, range(options.seeds)
-    )
+    report = Report("changed_rooms", "Loops in changed rooms", TEXT, options, range(options.seeds))
     jobs = {
         f"{room}, {row}": {
             "sequence": room, "loops": loops, "image_size": (160, 120), "cover": None
