@@ -105,9 +105,20 @@ def build_loop_closer(
 
 
 def _objects(options: LoopClosureOptions, semantics: SemanticMapping) -> ObjectHypotheses | None:
-    """Build the comparison of objects; None if it is off, or the map has no semantics."""
-    if not options.objects.use or not options.verify or not semantics.channels:
+    """Build the comparison of objects; None if it is off.
+
+    Raises:
+        SettingsError: loops are not verified, or the map has no semantics.
+    """
+    if not options.objects.use:
         return None
+    if not options.verify:
+        raise SettingsError("--loops.objects.use has no effect with --loops.no-verify; omit one")
+    if not semantics.channels:
+        raise SettingsError(
+            "--loops.objects.use needs classes; omit it, or use another --semantics.code.kind than "
+            "none and another --segmenter.kind than none"
+        )
     return ObjectHypotheses(semantics, options.objects, options.candidates.min_gap_frames)
 
 
