@@ -11,9 +11,9 @@ from typing import Any
 
 import tyro
 
-from benchmarks.loops import COLUMNS, measure
+from benchmarks.loops import COLUMNS, each_seed, measure
 from benchmarks.report import Report, ReportOptions
-from benchmarks.tables import Rows, Table, median_cell, table_of
+from benchmarks.tables import table_of
 
 ROWS: dict[str, dict[str, Any]] = {
     "images": {},
@@ -61,17 +61,10 @@ def main() -> None:
         for row, loops in ROWS.items()
     }  # fmt: skip
     found = report.measured(jobs, measure)
-    report.write(table_of(COLUMNS, found), each_seed(found, options.seeds))
-
-
-def each_seed(rows: Rows, seeds: int) -> Table:
-    """Each room by itself."""
-    cells = [
-        (f"{name}, seed {seed}", *(median_cell([runs[seed].get(c)]) for c in COLUMNS))
-        for name, runs in rows.items()
-        for seed in range(seeds)
-    ]
-    return Table(("", *COLUMNS), tuple(cells), "Each seed")
+    tables = [table_of(COLUMNS, found)]
+    if options.seeds > 1:
+        tables.append(each_seed(found, options.seeds))
+    report.write(*tables)
 
 
 if __name__ == "__main__":
