@@ -71,8 +71,6 @@ class ObjectOptions:
 
     use: bool = False
     """Register two submaps from the places of their objects if their images do not match."""
-    min_objects: Annotated[int, Range(ge=4)] = 5
-    """Minimum number of objects with the same classes and distances in two submaps."""
 
 
 @dataclass(frozen=True)

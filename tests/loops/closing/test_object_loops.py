@@ -12,7 +12,6 @@ import torch
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.loops.closing.object_loops import ObjectHypotheses
-from toolkit.loops.options import ObjectOptions
 
 T = se3.exp(np.array([0.5, 0.1, 0.0, 0.0, 0.4, 0.0]))
 CENTRES_M = np.array(
@@ -68,8 +67,8 @@ def submaps():
     )
 
 
-def hypotheses(gap=30, **options):
-    return ObjectHypotheses(Semantics(), ObjectOptions(use=True, **options), gap)
+def hypotheses(gap=30):
+    return ObjectHypotheses(Semantics(), gap)
 
 
 def test_objects_give_the_pose_and_the_views_of_one_place(submaps):
@@ -82,9 +81,10 @@ def test_objects_give_the_pose_and_the_views_of_one_place(submaps):
 
 
 def test_too_few_objects_and_frames_in_succession_are_no_hypothesis(submaps):
-    assert hypotheses(min_objects=8).of(submaps, 0, 1, [100]) is None
     assert hypotheses(gap=91).of(submaps, 0, 1, [100]) is None
     assert hypotheses().of(submaps, 0, 1, [110]) is None
+    submaps.clouds[1] = gaussians(CENTRES_M[:4].astype(float), np.random.default_rng(1))
+    assert hypotheses().of(submaps, 0, 1, [100]) is None
 
 
 def test_a_submap_is_read_again_only_if_it_has_grown(submaps):

@@ -119,7 +119,7 @@ def _objects(options: LoopClosureOptions, semantics: SemanticMapping) -> ObjectH
             "--loops.objects.use needs classes; omit it, or use another --semantics.code.kind than "
             "none and another --segmenter.kind than none"
         )
-    return ObjectHypotheses(semantics, options.objects, options.candidates.min_gap_frames)
+    return ObjectHypotheses(semantics, options.candidates.min_gap_frames)
 
 
 def _check_landmarks(options: LoopClosureOptions) -> None:

@@ -14,7 +14,6 @@ from toolkit.loops.constellations import (
     closest_view,
     match_constellations,
 )
-from toolkit.loops.options import ObjectOptions
 from toolkit.loops.pose_graph.graph import PoseEdge, information_of
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.submaps.atlas import Atlas
@@ -25,6 +24,8 @@ Array = NDArray[np.float64]
 # Errors of a pose from objects, which the registration that follows removes. Correct ones of
 # synthetic rooms are off by up to 8 cm and 2 degrees.
 _SIGMA_M, _SIGMA_RAD = 0.1, 0.04
+# Minimum number of objects with the same classes and distances in two submaps.
+_MIN_OBJECTS = 5
 _MIN_OPACITY, _MIN_CONFIDENCE = 0.5, 0.5
 # Maximum distance and angle of two views that may show the same place.
 _NEAR_M, _NEAR_RAD = 1.0, 0.8
@@ -50,14 +51,11 @@ class ObjectHypotheses:
 
     Args:
         semantics: decoder of the Gaussians' features.
-        options: conditions.
         min_gap_frames: minimum number of frames between query and match.
     """
 
-    def __init__(
-        self, semantics: SemanticMapping, options: ObjectOptions, min_gap_frames: int
-    ) -> None:
-        self._semantics, self._options, self._min_gap = semantics, options, min_gap_frames
+    def __init__(self, semantics: SemanticMapping, min_gap_frames: int) -> None:
+        self._semantics, self._min_gap = semantics, min_gap_frames
         # By submap, with the number of keyframes at that time: a submap can be entered again.
         self._known: dict[int, tuple[int, Constellation]] = {}
 
@@ -75,7 +73,7 @@ class ObjectHypotheses:
             ToolkitError: a submap cannot be read.
         """
         match = match_constellations(*(self._constellation(atlas, n) for n in (first, second)))
-        if match is None or len(match.pairs) < self._options.min_objects:
+        if match is None or len(match.pairs) < _MIN_OBJECTS:
             return None
         T = match.T_first_second
         pairs = self._alike(atlas.keyframe_poses(first), atlas.keyframe_poses(second), T, queries)
