@@ -35,8 +35,12 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "ring-slow": ("--layout", "ring", "--frames", "1800", *_TINY),
     "ring-moved": ("--layout", "ring-moved", "--frames", "450", *_SMALL),
     "ring-light": ("--layout", "ring-light", "--frames", "450", *_SMALL),
+    "ring-evening": ("--layout", "ring-evening", "--frames", "450", *_SMALL),
+    "ring-repainted": ("--layout", "ring-repainted", "--frames", "450", *_SMALL),
+    "ring-changed": ("--layout", "ring-changed", "--frames", "450", *_SMALL),
     "twins-objects": ("--layout", "twins-objects", "--frames", "450", *_SMALL),
     "twins": ("--layout", "twins", "--frames", "1100", "--sensor-noise"),
+    "twins-small": ("--layout", "twins", "--frames", "450", *_SMALL),
     "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
     "orbit": ("--layout", "orbit", "--frames", "300", "--sensor-noise"),
     # A film of objects with a telephone, 720x1280, at the size to which a run reduces it.

@@ -214,9 +214,10 @@ def test_without_labels_planes_give_names(labelled_recording, tmp_path):
     assert {"floor", "wall"} <= found
 
 
-def test_ignored_classes_are_not_mapped(run, labelled_recording, tmp_path):
+@pytest.mark.parametrize("word", ["floor", "flooring"])
+def test_ignored_classes_are_not_mapped(run, labelled_recording, tmp_path, word):
     out = tmp_path / "run"
-    assert main(arguments(labelled_recording, out, "--semantics.ignore", "floor")) == 0
+    assert main(arguments(labelled_recording, out, "--semantics.ignore", word)) == 0
     floor = shipped_taxonomy("replica").find("floor").class_ids[0]
     before, after = (read_splats(r / "map.ply").labels.label for r in (run, out))
     assert (before == floor).sum() > 100
@@ -238,6 +239,7 @@ def test_a_map_without_semantics_has_no_labels_to_render(labelled_recording, tmp
         (["--semantics.taxonomy", "cityscapes"], "no taxonomy 'cityscapes' is shipped"),
         (["--semantics.taxonomy", "nyu40"], "has no class"),
         (["--semantics.ignore", "perzon"], "no class or group 'perzon'"),
+        (["--semantics.ignore", "people"], "its classes are "),
         (["--segmenter.kind", "images"], "images.folder"),
         (["--segmenter.kind", "model"], "model.folder"),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from toolkit.errors import FormatError
-from toolkit.semantics.lexicon.matching import match
+from toolkit.semantics.lexicon.matching import match, selected_nodes
 from toolkit.semantics.lexicon.nouns import Lexicon, forms, load_lexicon
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
@@ -129,3 +129,38 @@ def test_every_class_of_the_shipped_trees_finds_itself(tree):
     taxonomy = shipped_taxonomy(tree)
     for name in taxonomy.classes:
         assert [node.name for node in match(name, taxonomy).nodes] == [name]
+
+
+PEOPLE = Taxonomy.flat(["person", "chair", "sofa", "cup"], "room")
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("people", ["person"]),
+        ("humans", ["person"]),
+        ("couch", ["sofa"]),
+        ("seating", ["chair", "sofa"]),
+        ("cup", ["cup"]),
+    ],
+)
+def test_words_select_classes_that_they_include(text, found, caplog):
+    caplog.set_level("INFO")
+    assert [node.name for node in selected_nodes([text], PEOPLE)] == found
+    assert (text in caplog.text) == (text not in found)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("armchair", "it is a kind of 'chair' (lexicon); to select more than 'armchair', give 'ch"),
+        ("red mug", "to select more than 'red mug', give 'cup'"),
+        ("red chair", "searched for 'chair'; to select more than 'red chair', give 'chair'"),
+        ("perzon", "did you mean person?"),
+        ("piano", "means 'piano'; its classes are many"),
+    ],
+)
+def test_words_do_not_select_more_than_they_mean(text, said):
+    with pytest.raises(FormatError) as error:
+        selected_nodes([text], PEOPLE, "its classes are many")
+    assert said in str(error.value)

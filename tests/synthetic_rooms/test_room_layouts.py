@@ -9,7 +9,13 @@ from toolkit.geometry import se3
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.synthetic_rooms.furnishing import STYLES, furnish
 from toolkit.synthetic_rooms.furniture import Workshop
-from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts, build_scene, single_room
+from toolkit.synthetic_rooms.layouts import (
+    LAYOUTS,
+    build_parts,
+    build_scene,
+    lamp_places,
+    single_room,
+)
 from toolkit.synthetic_rooms.parts import bounds
 from toolkit.synthetic_rooms.paths import hand_held_path
 from toolkit.synthetic_rooms.shell import room_shell
@@ -232,6 +238,33 @@ def test_only_the_first_room_is_dark_at_the_return():
     )
     assert first < 0.85
     assert second > 0.97
+
+
+def test_a_repainted_room_keeps_its_shape_but_no_colour():
+    whole = LAYOUTS["ring-repainted"]()
+    layout = replace(whole, rooms=whole.rooms[:2], room_seeds=whole.room_seeds[:2])
+    before, after = (build_scene(layout, 0, 0.1, later=later) for later in (False, True))
+    np.testing.assert_array_equal(before.vertices_m, after.vertices_m)
+    np.testing.assert_array_equal(before.triangle_labels, after.triangle_labels)
+    colours = [np.maximum(scene.vertex_colours(), 0.02) for scene in (before, after)]
+    first, second = (
+        np.log(colours[1][near] / colours[0][near]).std()
+        for near in (
+            np.abs(before.vertices_m[:, :2] - plan.centre_m).max(axis=1) < 1.9
+            for plan in layout.rooms
+        )
+    )
+    assert first > 0.45  # 0.3 by the light alone
+    assert second < 0.05
+
+
+def test_in_the_evening_objects_have_moved_and_one_lamp_is_on():
+    parts = [build_parts(LAYOUTS[name](), 0, later=True) for name in ("ring-moved", "ring-evening")]
+    np.testing.assert_array_equal(*map(_points, parts))
+    layout = LAYOUTS["ring-evening"]()
+    lamps = layout.revisit.lamps_m(layout.rooms[0], lamp_places(layout.rooms[:1]))
+    assert lamps.shape == (1, 3)
+    assert lamps[0, 2] < layout.rooms[0].height_m - 0.5
 
 
 def _at_origin(plan):

@@ -242,17 +242,22 @@ class MakeRoomOptions:
         "ring",
         "ring-moved",
         "ring-light",
+        "ring-evening",
+        "ring-repainted",
+        "ring-changed",
         "twins",
         "twins-objects",
         "orbit",
         "still",
         "long",
     ] = "room"
-    """Layout: one room, three on a corridor (rooms), twelve (hall), four that close a loop (ring;
-    with objects moved or the lamps off in the first room when the camera returns: ring-moved,
-    ring-light), three of which two are equal (twins) or have equal walls and different objects
-    (twins-objects), around a table with objects (orbit), one room from a single place (still), or
-    one room in which the camera moves freely for minutes (long)."""
+    """Layout: one room, three on a corridor (rooms), twelve (hall), four that close a loop (ring).
+    When the camera returns to the first room of the ring, objects have moved (ring-moved), its
+    lamps are off (ring-light), objects have moved and a warm lamp lights it (ring-evening), it is
+    repainted in this light (ring-repainted), or all of this (ring-changed). Other layouts: three
+    rooms of which two are equal (twins) or have equal walls and different objects (twins-objects),
+    around a table with objects (orbit), one room from a single place (still), or one room in which
+    the camera moves freely for minutes (long)."""
     seed: NonNegativeInt = 0
     """Seed of furniture, textures, camera motion and sensor noise."""
     frames: PositiveInt | None = None

@@ -154,7 +154,7 @@ def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> Sel
         )
     labelled = load_labelled_run(run)
     mask = labelled.select(keep) if keep else np.ones(len(labelled.map), bool)
-    mask &= ~labelled.map.selected(drop)
+    mask &= ~labelled.map.selected(labelled.named(drop))
     if not mask.any():
         raise ToolkitError(f"--keep and --drop exclude all Gaussians of {run}")
     gaussians = labelled.run.gaussians.select(torch.from_numpy(mask))

@@ -65,6 +65,15 @@ class LandmarkOptions:
 
 
 @dataclass(frozen=True)
+class ObjectOptions:
+    """Loop candidates from constellations of objects, whatever their appearance. They need labels
+    of object classes."""
+
+    use: bool = False
+    """Register two submaps from the places of their objects if their images do not match."""
+
+
+@dataclass(frozen=True)
 class RelocalisationOptions:
     """Relocalisation of a lost camera."""
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError, RunFolderError, ToolkitError
 from toolkit.io.splats import read_splats
 from toolkit.runs.finished import FinishedRun, load_run
-from toolkit.semantics.lexicon.matching import Match
+from toolkit.semantics.lexicon.matching import Match, selected_nodes
 from toolkit.semantics.query import LabelledMap
-from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy import VOID_NAME, Taxonomy
 
 TAXONOMY = "taxonomy.yaml"
 
@@ -29,14 +29,31 @@ class LabelledRun:
     def select(self, names: Sequence[str], min_confidence: float = 0.0) -> NDArray[np.bool_]:
         """Return a mask [N] of the Gaussians that belong to any of some classes and groups.
 
+        Args:
+            names: names, paths, "void", or nouns that mean classes (`selected_nodes`).
+            min_confidence: minimum confidence of a Gaussian.
+
         Raises:
-            FormatError: a name is not in the taxonomy.
+            FormatError: a name means no class of the taxonomy, or not only this class.
             ToolkitError: a class or group has no Gaussians.
         """
         selected = np.zeros(len(self.map), bool)
         for name in names:
-            selected |= self._members(f"'{name}'", [name], min_confidence)
+            selected |= self._members(f"'{name}'", self.named([name]), min_confidence)
         return selected
+
+    def named(self, names: Sequence[str]) -> list[str]:
+        """Return the paths of the nodes that names and nouns select, and "void" for itself.
+
+        Raises:
+            FormatError: as `select`.
+        """
+        found: list[str] = []
+        for name in names:
+            void = name.strip().casefold() == VOID_NAME
+            nodes = [] if void else selected_nodes([name], self.map.taxonomy)
+            found += [VOID_NAME] if void else [str(node) for node in nodes]
+        return found
 
     def select_meant(self, meant: Match, min_confidence: float = 0.0) -> NDArray[np.bool_]:
         """Return a mask [N] of the Gaussians that a text means.

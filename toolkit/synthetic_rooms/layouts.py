@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from toolkit.synthetic_rooms.patches import placement
 from toolkit.synthetic_rooms.paths import WayPoint
 from toolkit.synthetic_rooms.ray_casting import Scene
 from toolkit.synthetic_rooms.reflections import polished
+from toolkit.synthetic_rooms.revisits import Revisit
 from toolkit.synthetic_rooms.shell import WALL_HALF_M, Opening, RoomPlan, room_shell
 from toolkit.synthetic_rooms.textures import weakened
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, GLOSSY_CLASS_NAMES, numbered
@@ -31,6 +31,7 @@ _NORTH_OFFSET_M = 0.1  # offset of the camera path from the middle of a corridor
 _ORBIT_RADIUS_M, _ORBIT_HEIGHT_M, _TABLE_TOP_M = 1.05, 1.15, 0.55
 _ORBIT_POINTS, _ORBIT_STEP_RAD = 20, math.radians(20)
 _LONG_POINTS = 160
+_UNCHANGED = Revisit()
 
 
 @dataclass(frozen=True)
@@ -42,14 +43,13 @@ class Layout:
         room_seeds: random seed of the content of each room; rooms with the same seed, size and
             openings are identical.
         way_points: waypoints of the camera path.
-        revisit: the first room after half of the frames: the same, with most of its objects moved,
-            or with its lamps off.
+        revisit: changes of the first room after half of the frames.
     """
 
     rooms: tuple[RoomPlan, ...]
     room_seeds: tuple[int, ...]
     way_points: tuple[WayPoint, ...]
-    revisit: Literal["same", "moved", "dark"] = "same"
+    revisit: Revisit = _UNCHANGED
 
 
 def single_room() -> Layout:
@@ -59,7 +59,7 @@ def single_room() -> Layout:
     return Layout((plan,), (0,), tuple(_look_around(plan, 0.0, math.radians(368))))
 
 
-def ring_of_rooms() -> Layout:
+def ring_of_rooms(revisit: Revisit = _UNCHANGED) -> Layout:
     """Four rooms connected in a ring; the camera returns to the first one."""
     size = (4.0, 4.0)
     pitch = (size[0] + _WALL_M) / 2
@@ -83,7 +83,7 @@ def ring_of_rooms() -> Layout:
         way_points += _visit(
             plan, entry if way_points else None, leave, _heading(plan, entry, inward=True), turn
         )
-    return Layout(tuple(plans), (0, 1, 2, 3), tuple(way_points[:-2]))
+    return Layout(tuple(plans), (0, 1, 2, 3), tuple(way_points[:-2]), revisit)
 
 
 def _ring_openings(entry: str, leave: str, window: str, middle: float) -> tuple[Opening, ...]:
@@ -271,11 +271,13 @@ def build_parts(
         shop = Workshop(np.random.default_rng([seed, 1, look]))
         at_origin = replace(plan, centre_m=(0.0, 0.0))
         room = shop.as_objects(room_shell(at_origin, shop))
+        changed = later and number == 0
         if collection is None:
-            rearranged = later and number == 0 and layout.revisit == "moved"
-            room += furnish(at_origin, shop, rearranged)
+            room += furnish(at_origin, shop, rearranged=changed and layout.revisit.moved)
         else:
             room += shelves_of_objects(at_origin, shop, collection)
+        if changed:
+            room = layout.revisit.appearance(room, seed)
         parts += moved(_of_room(number, room), placement(*plan.centre_m))
     return parts
 
@@ -337,9 +339,13 @@ def build_scene(
         parts = [replace(part, texture=weakened(part.texture, contrast)) for part in parts]
     if look.glossy:
         parts = polished(parts)
-    lit = layout.rooms[1:] if later and layout.revisit == "dark" else layout.rooms
+    lamps_m = lamp_places(layout.rooms)
+    if later:
+        first = layout.rooms[0]
+        own, others = lamp_places((first,)), lamp_places(layout.rooms[1:])
+        lamps_m = np.concatenate([layout.revisit.lamps_m(first, own), others])
     names = collection or (GLOSSY_CLASS_NAMES if look.glossy else CLASS_NAMES)
-    return Scene(parts, lamp_places(lit), texel_m, numbered(names), look.glossy)
+    return Scene(parts, lamps_m, texel_m, numbered(names), look.glossy)
 
 
 # The fraction of each texture's contrast that is kept.
@@ -350,8 +356,11 @@ LAYOUTS: dict[str, Callable[[], Layout]] = {
     "room": single_room,
     "rooms": rooms_with_corridor,
     "ring": ring_of_rooms,
-    "ring-moved": lambda: replace(ring_of_rooms(), revisit="moved"),
-    "ring-light": lambda: replace(ring_of_rooms(), revisit="dark"),
+    "ring-moved": lambda: ring_of_rooms(Revisit(moved=True)),
+    "ring-light": lambda: ring_of_rooms(Revisit(dark=True)),
+    "ring-evening": lambda: ring_of_rooms(Revisit(moved=True, evening=True)),
+    "ring-repainted": lambda: ring_of_rooms(Revisit(evening=True, repainted=True)),
+    "ring-changed": lambda: ring_of_rooms(Revisit(moved=True, evening=True, repainted=True)),
     "twins": twin_rooms,
     "twins-objects": twin_rooms_of_objects,
     "hall": hall_of_rooms,

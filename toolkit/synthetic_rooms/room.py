@@ -44,10 +44,11 @@ class RoomSettings:
 
     Attributes:
         layout: "room", "rooms" (three and a corridor), "hall" (twelve), "ring" (four that
-            close a loop), "ring-moved" and "ring-light" (objects moved, or lamps off, in the first
-            room when the camera returns), "twins" (two of three rooms are identical),
-            "twins-objects" (they contain different objects), "orbit" (around objects on a table),
-            "still" (one room from one place) or "long" (freely through one room, for minutes).
+            close a loop), "ring-moved", "ring-light", "ring-evening", "ring-repainted" and
+            "ring-changed" (the first room differs when the camera returns: `Revisit`), "twins"
+            (two of three rooms are identical), "twins-objects" (they contain different objects),
+            "orbit" (around objects on a table), "still" (one room from one place) or "long"
+            (freely through one room, for minutes).
         seed: random seed of furniture, textures, camera sway and noise, >= 0.
         frames: number of frames, distributed over the path; None for walking pace (300 for the
             default room, about 2000 for the others).
@@ -178,7 +179,7 @@ def make_room(
     poses = _poses(layout, settings)
     _log.info("%s: %d frames, %d triangles", path, len(poses), len(scene.triangles))
     later = scene
-    if layout.revisit != "same":
+    if layout.revisit:
         later = room_scene(settings, later=True)
     views = writer.with_instances(path, _views(scene, settings, poses, later))
     if settings.walker:

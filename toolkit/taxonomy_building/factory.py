@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 
 from toolkit.semantics.factory import build_segmenter
 from toolkit.semantics.labeller import Labeller
+from toolkit.semantics.lexicon.matching import selected_nodes
 from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import taxonomy_for, taxonomy_named
 from toolkit.taxonomy_building.builder import build_taxonomy
 from toolkit.taxonomy_building.rules import RuleGrouper
+
+# Number of classes that an error lists.
+_SHOWN = 8
+
+_log = logging.getLogger(__name__)
 
 
 def choose_taxonomy(setting: str, names: Mapping[int, str]) -> Taxonomy:
@@ -45,11 +52,23 @@ def build_labeller(
         names, stems: see `build_segmenter`.
 
     Raises:
-        ToolkitError: see `build_segmenter` and `choose_taxonomy`; or the tree lacks a class.
+        ToolkitError: see `build_segmenter` and `choose_taxonomy`; or the tree lacks a class, or a
+            name of `ignore` means none of them.
     """
     if options.code.kind == "none" or source.kind == "none":
         return None
     segmenter = build_segmenter(source, names, stems)
     taxonomy = choose_taxonomy(options.taxonomy, segmenter.class_names)
-    ignored = [i for node in options.ignore for i in taxonomy.find(node).class_ids]
-    return Labeller(segmenter, taxonomy, ignored, f"{source.kind} labels")
+    return Labeller(
+        segmenter, taxonomy, _ignored_classes(options.ignore, taxonomy), f"{source.kind} labels"
+    )
+
+
+def _ignored_classes(names: Sequence[str], taxonomy: Taxonomy) -> list[int]:
+    """Return the ids of the classes that names and nouns of --semantics.ignore mean."""
+    shown = ", ".join(taxonomy.classes[:_SHOWN])
+    more = f" and {len(taxonomy) - _SHOWN} more" if len(taxonomy) > _SHOWN else ""
+    nodes = selected_nodes(names, taxonomy, f"its classes are {shown}{more}")
+    if nodes:
+        _log.info("Not tracked against or mapped: %s.", ", ".join(node.name for node in nodes))
+    return [i for node in nodes for i in node.class_ids]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
+
+from toolkit.errors import SettingsError
 from toolkit.features.options import FeatureOptions
 from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
 from toolkit.loops.closing.options import LoopClosureOptions
+from toolkit.loops.options import ObjectOptions
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
 
@@ -17,3 +21,12 @@ def test_the_feature_term_of_registration_has_the_encoder_of_the_settings():
     parts = build_loop_closer(settings, context, registration=registration)._parts
     for stage in (parts.registrar.refiner, parts.nearby):
         assert stage.view_features.describer.name == "colour-histogram/rgb"
+
+
+@pytest.mark.parametrize(("verify", "said"), [(True, "needs classes"), (False, "no-verify")])
+def test_objects_need_classes_and_tests(verify, said):
+    settings = LoopClosureOptions(
+        features=FeatureOptions("colour-histogram"), verify=verify, objects=ObjectOptions(use=True)
+    )
+    with pytest.raises(SettingsError, match=said):
+        build_loop_closer(settings, ClosingContext(0, "auto", SemanticMapping(), None))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -17,13 +17,16 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import CandidateFinder
 from toolkit.loops.closing.closer import LoopCloser
+from toolkit.loops.closing.object_loops import ObjectHypothesis
 from toolkit.loops.closing.options import ClosingOptions, PairOptions
 from toolkit.loops.closing.pair_matching import PairMatcher, RoughMotion, VerifiedPair
 from toolkit.loops.closing.parts import ClosingParts
 from toolkit.loops.closing.submap_loops import SubmapLoops
+from toolkit.loops.constellations import ConstellationMatch
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog, read_loop_log
 from toolkit.loops.options import CandidateOptions
+from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.loops.pose_graph.options import PoseGraphOptions
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
@@ -286,6 +289,70 @@ def measured(monkeypatch, offset):
         return VerifiedPair(50, offset(first, second), "")
 
     monkeypatch.setattr(PairMatcher, "verified", verified)
+
+
+@dataclass
+class KnownObjects:
+    """Objects that determine the true relative pose of two submaps, or a wrong one."""
+
+    truth: dict
+    error: np.ndarray
+
+    def of(self, atlas, first, second, queries):
+        T = se3.inverse(self.truth[first]) @ self.truth[second] @ self.error
+        edge = PoseEdge.loop(first, second, T, np.eye(6) * 100.0)
+        match = ConstellationMatch(T, np.zeros((6, 2), int), 0.05)
+        pairs = [(q, m) for q in queries for m in list(atlas.keyframe_poses(first))[:1] if m < q]
+        return ObjectHypothesis(edge, match, pairs) if pairs else None
+
+
+def closed_by_objects(frames, monkeypatch, error, log=None, **changes):
+    """As `closed`, with images that do not match, and objects with an error [6]."""
+    monkeypatch.setattr(PairMatcher, "most_matches", lambda *_: [])
+    atlas, closer, registrar = closed(frames, changes, log, ClosingOptions(min_shared=0.0))
+    objects = KnownObjects(registrar.truth, se3.exp(np.array(error)))
+    closer._between = SubmapLoops(
+        replace(closer._parts, objects=objects), closer.options, closer._record
+    )
+    return atlas, closer
+
+
+class TestObjects:
+    DARK = ResidualScales(0.4, 0.003)
+
+    def test_they_close_a_loop_in_other_light(self, frames, tmp_path, monkeypatch):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        near = [0.02, 0.0, 0.01, 0.0, 0.01, 0.0]
+        atlas, closer = closed_by_objects(frames, monkeypatch, near, log, residual=self.DARK)
+        assert closer.close_between(atlas, atlas.active) and closer.loops
+        records = read_loop_log(tmp_path / "loops.jsonl")
+        assert [r["objects"] for r in records if r["kind"] == "objects"] == [6] * len(closer.loops)
+        assert any(r["kind"] == "verified" and r["accepted"] for r in records)
+
+    @pytest.mark.parametrize(
+        ("error", "changes"),
+        [
+            ([0.3, 0.0, 0.0, 0.0, 0.0, 0.0], {}),
+            ([0.0] * 6, {"inliers": 0.85}),
+            ([0.0] * 6, {"class_agreement": 0.8}),
+            ([0.0] * 6, {"wrong": True}),
+        ],
+    )
+    def test_the_registration_must_agree(self, frames, monkeypatch, error, changes):
+        atlas, closer = closed_by_objects(frames, monkeypatch, error, None, **changes)
+        before = bits(atlas)
+        assert not closer.close_between(atlas, atlas.active)
+        assert bits(atlas) == before and not closer.loops
+
+    def test_the_odometry_refuses_them_before_a_registration(self, frames, tmp_path, monkeypatch):
+        log = LoopLog(tmp_path / "loops.jsonl")
+        away = [3.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        atlas, closer = closed_by_objects(frames, monkeypatch, away, log)
+        assert not closer.close_between(atlas, atlas.active)
+        records = read_loop_log(tmp_path / "loops.jsonl")
+        refused = [r for r in records if r["kind"] == "objects"]
+        assert refused and all("odometry" in r["reason"] for r in refused)
+        assert not [r for r in records if r["kind"] == "between" and "method" in r]
 
 
 class TestWithin:

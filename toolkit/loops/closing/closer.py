@@ -222,13 +222,16 @@ class LoopCloser:
             found = False
             # After a relocalisation, two submaps have a loop edge before they are registered.
             existing = {(loop.first, loop.second): loop for loop in self.loops}
-            for other in sorted({c.match_submap for c in candidates}):
-                pairs = [c for c in candidates if c.match_submap == other]
+            by_objects = self._between.suspected_by_objects(
+                atlas, number, candidates, self._odometry.links
+            )
+            for other in sorted({c.match_submap for c in candidates} | by_objects):
                 edge = existing.get((other, number)) or existing.get((number, other))
                 if edge is not None and number in self._odometry.ended and not self._deferred:
                     continue  # the camera was here again
-                new = self._between.close(atlas, (other, number), pairs, self._odometry.links)
+                new = self._between.close(atlas, (other, number), candidates, self._odometry.links)
                 if new is None and edge is not None:
+                    pairs = [(c.query, c.match) for c in candidates if c.match_submap == other]
                     self._between.confirm(atlas, edge, pairs)
                 if new is not None:
                     self.loops.append(new if other < number else new.inverted())

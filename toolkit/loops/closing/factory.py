@@ -15,6 +15,7 @@ from toolkit.frame import Recorder
 from toolkit.loops.candidates import CandidateFinder
 from toolkit.loops.class_counts import ClassCounter, GaussianClassCounter, PixelClassCounter
 from toolkit.loops.closing.closer import LoopCloser
+from toolkit.loops.closing.object_loops import ObjectHypotheses
 from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.loops.closing.pair_matching import PairMatcher
 from toolkit.loops.closing.parts import ClosingParts
@@ -98,8 +99,27 @@ def build_loop_closer(
         noise=OdometryNoise(),
         loop_noise=LoopNoise(),
         optimiser=PoseGraphOptimiser(options.pose_graph),
+        objects=_objects(options, context.semantics),
     )
     return LoopCloser(detector, parts, options.closing, log, recorder)
+
+
+def _objects(options: LoopClosureOptions, semantics: SemanticMapping) -> ObjectHypotheses | None:
+    """Build the comparison of objects; None if it is off.
+
+    Raises:
+        SettingsError: loops are not verified, or the map has no semantics.
+    """
+    if not options.objects.use:
+        return None
+    if not options.verify:
+        raise SettingsError("--loops.objects.use has no effect with --loops.no-verify; omit one")
+    if not semantics.channels:
+        raise SettingsError(
+            "--loops.objects.use needs classes; omit it, or use another --semantics.code.kind than "
+            "none and another --segmenter.kind than none"
+        )
+    return ObjectHypotheses(semantics, options.candidates.min_gap_frames)
 
 
 def _check_landmarks(options: LoopClosureOptions) -> None:

@@ -9,6 +9,7 @@ from toolkit.features.options import FeatureOptions
 from toolkit.loops.options import (
     CandidateOptions,
     LandmarkOptions,
+    ObjectOptions,
     RelocalisationOptions,
 )
 from toolkit.loops.pose_graph.options import PoseGraphOptions
@@ -75,6 +76,7 @@ class LoopClosureOptions:
     features: FeatureOptions = FeatureOptions()
     candidates: CandidateOptions = CandidateOptions()
     landmarks: LandmarkOptions = LandmarkOptions()
+    objects: ObjectOptions = ObjectOptions()
     pairs: PairOptions = PairOptions()
     closing: ClosingOptions = ClosingOptions()
     relocalisation: RelocalisationOptions = RelocalisationOptions()

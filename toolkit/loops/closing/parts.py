@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from toolkit.loops.closing.object_loops import ObjectHypotheses
 from toolkit.loops.closing.pair_matching import PairMatcher
 from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.loops.pose_graph.options import PoseGraphOptions
@@ -28,6 +29,7 @@ class ClosingParts:
         noise: noise of odometry edges.
         loop_noise: noise of loop edges.
         optimiser: optimises pose graphs.
+        objects: compares the objects of submaps; None if they are not compared.
     """
 
     registrar: Registrar
@@ -39,3 +41,4 @@ class ClosingParts:
     noise: OdometryNoise
     loop_noise: LoopNoise
     optimiser: PoseGraphOptimiser
+    objects: ObjectHypotheses | None = None

@@ -14,6 +14,7 @@ from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.closing.image_edges import ImageEdges, ImageLoops
 from toolkit.loops.closing.log_entries import Record, motion_values, registration_values, verdict
+from toolkit.loops.closing.object_loops import ObjectHypothesis
 from toolkit.loops.closing.options import ClosingOptions
 from toolkit.loops.closing.parts import ClosingParts
 from toolkit.loops.closing.visibility import Visibility
@@ -25,6 +26,12 @@ from toolkit.submaps.atlas import Atlas
 
 # Neighbours overlap at least in the views around their boundary.
 _NEIGHBOUR_VERIFICATION = VerificationLimits(min_overlap=0.15)
+# After a change of light or colour, only surfaces and classes are compared, and more strictly.
+_OBJECT_VERIFICATION = VerificationLimits(
+    min_inliers=0.9, min_class_agreement=0.85, max_intensity_residual=np.inf
+)
+# Maximum distance of a registration's result from the pose of the objects.
+_MAX_FROM_OBJECTS_M = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,18 +126,25 @@ class SubmapLoops:
         self,
         atlas: Atlas,
         submaps: tuple[int, int],
-        pairs: Sequence[LoopCandidate],
+        candidates: Sequence[LoopCandidate],
         odometry: Sequence[PoseEdge],
     ) -> PoseEdge | None:
-        """The loop edge of two submaps with candidate pairs of keyframes; None without one.
+        """The loop edge of two submaps; None without one.
 
-        Submaps are registered only if the images of some pair match. If the registration is
-        rejected, verified images give the edge. Without tests (G), the registration is the edge.
+        Submaps are registered only if the images of some pair match, or their objects. If the
+        registration is rejected, verified images give the edge. Without tests (G), the registration
+        is the edge.
+
+        Args:
+            submaps: numbers of the older submap and of that of the queries.
+            candidates: all candidate pairs of the second submap.
+            odometry: edges between anchors.
         """
+        pairs = [c for c in candidates if c.match_submap == submaps[0]]
         if self._parts.verification is None:
             edge = self.register(atlas, *submaps, odometry)
             if edge is not None:
-                self.confirm(atlas, edge, pairs)
+                self.confirm(atlas, edge, _frames(pairs))
             return edge
         values = {"first": submaps[0], "second": submaps[1]}
         try:
@@ -138,14 +152,84 @@ class SubmapLoops:
         except ToolkitError as error:
             self._record("between", values | verdict(str(error)))
             return None
-        if images.matched == 0:
+        if images.matched == 0 and pairs:
             reason = f"the images of none of {len(pairs)} candidate pairs match"
             self._record("between", values | verdict(reason))
+        elif pairs:
+            edge = self.register(atlas, *submaps, odometry, images)
+            if edge is not None and self.confirm(atlas, edge, _frames(pairs)):
+                return edge
+            if images.edges:
+                return images.edges[0]
+        return self._close_by_objects(atlas, submaps, candidates, odometry)
+
+    def suspected_by_objects(
+        self,
+        atlas: Atlas,
+        number: int,
+        candidates: Sequence[LoopCandidate],
+        odometry: Sequence[PoseEdge],
+    ) -> set[int]:
+        """Older submaps without a candidate pair whose objects agree with those of a submap."""
+        if self._parts.objects is None:
+            return set()
+        known = {candidate.match_submap for candidate in candidates}
+        others = [n for n in atlas.readable() if n < number and n not in known]
+        queries = list(dict.fromkeys(candidate.query for candidate in candidates))
+        return {n for n in others if self._hypothesis(atlas, (n, number), queries, odometry)}
+
+    def _hypothesis(
+        self,
+        atlas: Atlas,
+        submaps: tuple[int, int],
+        queries: Sequence[int],
+        odometry: Sequence[PoseEdge],
+    ) -> ObjectHypothesis | None:
+        """The relative pose of two submaps from their objects, if the odometry permits it."""
+        assert self._parts.objects is not None
+        try:
+            found = self._parts.objects.of(atlas, *submaps, queries)
+        except ToolkitError as error:
+            values = {"first": submaps[0], "second": submaps[1]}
+            self._record("objects", values | verdict(str(error)))
             return None
-        edge = self.register(atlas, *submaps, odometry, images)
-        if edge is not None and self.confirm(atlas, edge, pairs):
-            return edge
-        return images.edges[0] if images.edges else None
+        if found is None:
+            return None
+        reason = self._contradiction(odometry, found.edge)
+        values = {"first": submaps[0], "second": submaps[1], "objects": len(found.match.pairs)}
+        self._record("objects", values | {"error_m": found.match.error_m} | verdict(reason))
+        return None if reason else found
+
+    def _close_by_objects(
+        self,
+        atlas: Atlas,
+        submaps: tuple[int, int],
+        candidates: Sequence[LoopCandidate],
+        odometry: Sequence[PoseEdge],
+    ) -> PoseEdge | None:
+        """The loop edge of two submaps whose images do not match, registered from their objects.
+
+        Instead of the images, the objects confirm it: the result must stay near the pose that they
+        determine, besides passing the tests of a registration.
+        """
+        if self._parts.objects is None:
+            return None
+        queries = list(dict.fromkeys(candidate.query for candidate in candidates))
+        found = self._hypothesis(atlas, submaps, queries, odometry)
+        if found is None:
+            return None
+        T = found.edge.T_first_second
+        registration = self._registered(self._parts.nearby, atlas, *submaps, T)
+        if registration is None:
+            return None
+        change = se3.inverse(T) @ registration.edge.T_first_second
+        reason = rejection_reason(registration.result, _OBJECT_VERIFICATION)
+        reason = reason or self._contradiction(odometry, registration.edge)
+        if not reason and np.linalg.norm(change[:3, 3]) > _MAX_FROM_OBJECTS_M:
+            reason = f"the objects differ by {100 * np.linalg.norm(change[:3, 3]):.0f} cm"
+        if not self._accept(registration, reason):
+            return None
+        return registration.edge if self.confirm(atlas, registration.edge, found.pairs) else None
 
     def register_neighbours(
         self, atlas: Atlas, first: int, second: int, odometry: Sequence[PoseEdge]
@@ -167,12 +251,22 @@ class SubmapLoops:
         return edge if self._accept(registration, reason) else None
 
     def _registered(
-        self, registrar: Registrar, atlas: Atlas, first: int, second: int
+        self,
+        registrar: Registrar,
+        atlas: Atlas,
+        first: int,
+        second: int,
+        start: NDArray[np.float64] | None = None,
     ) -> _Registration | None:
-        """Register two submaps from their current poses; None if one of them cannot be read."""
+        """Register two submaps; None if one of them cannot be read.
+
+        Args:
+            start: initial T_first_second [4, 4]; by default from their current poses.
+        """
         T = se3.inverse(atlas.T_world_submap(first)) @ atlas.T_world_submap(second)
+        start = T if start is None else start
         try:
-            result = register_pair(registrar, atlas.submap(first), atlas.submap(second), T)
+            result = register_pair(registrar, atlas.submap(first), atlas.submap(second), start)
         except ToolkitError as error:
             # The run must continue if the file of a submap is missing or damaged.
             self._record("between", {"first": first, "second": second} | verdict(str(error)))
@@ -193,8 +287,8 @@ class SubmapLoops:
         self._record("between", values | verdict(reason))
         return not reason
 
-    def confirm(self, atlas: Atlas, edge: PoseEdge, pairs: Sequence[LoopCandidate]) -> bool:
-        """Check whether a candidate pair of keyframes overlaps after the registration.
+    def confirm(self, atlas: Atlas, edge: PoseEdge, pairs: Sequence[tuple[int, int]]) -> bool:
+        """Check whether a pair of keyframes (query, match) overlaps after the registration.
 
         Submaps that overlap can be registered even if no candidate pair shows the same place; a
         successful registration alone does not confirm the candidates.
@@ -202,8 +296,8 @@ class SubmapLoops:
         matches = {k.index: k for k in atlas.submap(edge.first).keyframes}
         queries = {k.index: k for k in atlas.submap(edge.second).keyframes}
         confirmed = 0
-        for pair in pairs:
-            query, match = queries[pair.query], matches[pair.match]
+        for query_frame, match_frame in pairs:
+            query, match = queries[query_frame], matches[match_frame]
             points = se3.transform_points(edge.T_first_second, query.points_in_map())
             shared = float(match.reaches(points).mean()) if len(points) else 0.0
             T_first_query = edge.T_first_second @ query.T_map_camera
@@ -212,11 +306,16 @@ class SubmapLoops:
             values = {
                 "first": edge.first,
                 "second": edge.second,
-                "query": pair.query,
-                "match": pair.match,
+                "query": query_frame,
+                "match": match_frame,
                 "shared": shared,
                 **motion_values(se3.inverse(match.T_map_camera) @ T_first_query),
             }
             self._record("verified", values | verdict(reason))
             confirmed += enough
         return confirmed > 0
+
+
+def _frames(pairs: Sequence[LoopCandidate]) -> list[tuple[int, int]]:
+    """Query and match of candidates."""
+    return [(pair.query, pair.match) for pair in pairs]

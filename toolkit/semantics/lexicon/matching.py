@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ _REMEDY = "list its classes with: semsplat query RUN --list"
 # Of a word of the user, this many meanings are considered even if they are rare.
 _FIRST_MEANINGS = 2
 
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class Match:
@@ -31,11 +34,13 @@ class Match:
         text: the text.
         nodes: nodes of the taxonomy; none is below another.
         explanation: why these nodes, one line; None if the text is the name of the only node.
+        wider: whether the nodes include things that the text excludes, as all cups for "red mug".
     """
 
     text: str
     nodes: tuple[Node, ...]
     explanation: str | None = None
+    wider: bool = False
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,9 @@ class _Found:
     nodes: tuple[Node, ...]
 
 
-def match(text: str, taxonomy: Taxonomy, lexicon: Lexicon | None = None) -> Match:
+def match(
+    text: str, taxonomy: Taxonomy, lexicon: Lexicon | None = None, remedy: str = _REMEDY
+) -> Match:
     """Return the nodes that a text means.
 
     These are, in this order: the node of this name or path; the node of this name in the singular;
@@ -58,6 +65,7 @@ def match(text: str, taxonomy: Taxonomy, lexicon: Lexicon | None = None) -> Matc
         text: a name, a path such as "furniture > chair", or a noun.
         taxonomy: the tree.
         lexicon: nouns and their meanings; by default, those shipped with the toolkit.
+        remedy: how to list the classes, for errors.
 
     Raises:
         FormatError: nothing matches, or several things do; the message lists what is near.
@@ -73,14 +81,45 @@ def match(text: str, taxonomy: Taxonomy, lexicon: Lexicon | None = None) -> Matc
         # Clothes are not the plural of cloth.
         if named and (noun == named[0] or noun not in lexicon):
             node = taxonomy.find(named[0])
-            return Match(text, (node,), f"no class is called '{text}'; searched for '{node.name}'")
+            reason = f"no class is called '{text}'; searched for '{node.name}'"
+            return Match(text, (node,), reason, wider=noun != folded(text))
         meanings = lexicon.meanings(noun, _FIRST_MEANINGS)
         if meanings:
-            return _by_meaning(text, noun, meanings, taxonomy, lexicon)
+            found = [f for f in (_nodes_of(m, taxonomy, lexicon) for m in meanings) if f]
+            if not found:
+                reason = _unmatched(text, noun, meanings, taxonomy, lexicon)
+                raise FormatError(f"{reason}; {remedy}")
+            return _by_meaning(text, noun, found)
     try:
         return Match(text, (taxonomy.find(text),))
     except FormatError as error:
-        raise FormatError(str(error) if "?" in str(error) else f"{error}; {_REMEDY}") from None
+        raise FormatError(str(error) if "?" in str(error) else f"{error}; {remedy}") from None
+
+
+def selected_nodes(names: Sequence[str], taxonomy: Taxonomy, remedy: str = _REMEDY) -> list[Node]:
+    """Return the nodes that names and nouns select, for programs that change what they select.
+
+    Unlike `match`, which finds the nearest classes, it never selects more than the text means:
+    an armchair does not select all chairs. Explanations of matches by meaning are logged.
+
+    Args:
+        names: names, paths or nouns.
+        taxonomy: the tree.
+        remedy: how to list the classes, for errors.
+
+    Raises:
+        FormatError: as `match`; or classes include a text, but also other things.
+    """
+    found: list[Node] = []
+    for name in names:
+        meant = match(name, taxonomy, remedy=remedy)
+        if meant.wider:
+            nodes = _listed([node.name for node in meant.nodes], "or")
+            raise FormatError(f"{meant.explanation}; to select more than '{name}', give {nodes}")
+        if meant.explanation is not None:
+            _log.info("%s.", meant.explanation[0].upper() + meant.explanation[1:])
+        found += meant.nodes
+    return found
 
 
 def check_query(text: str) -> None:
@@ -97,12 +136,8 @@ def check_query(text: str) -> None:
         raise FormatError("the query is empty; give the name of a class, or a noun")
 
 
-def _by_meaning(
-    text: str, noun: str, meanings: Sequence[int], taxonomy: Taxonomy, lexicon: Lexicon
-) -> Match:
-    found = [f for f in (_nodes_of(m, taxonomy, lexicon) for m in meanings) if f is not None]
-    if not found:
-        raise FormatError(_unmatched(text, noun, meanings, taxonomy, lexicon))
+def _by_meaning(text: str, noun: str, found: Sequence[_Found]) -> Match:
+    """Return the match of a noun, the whole text or its last words, from its meanings."""
     relation = min(f.relation for f in found)
     best = [f.nodes for f in found if f.relation == relation]
     # Related meanings have classes in common, as an appliance for the home and one in general.
@@ -120,7 +155,8 @@ def _by_meaning(
         f"{subject} includes {names}",
         f"{subject} is a kind of {names}",
     )[relation]
-    return Match(text, nodes, f"no class is called '{text}'; {reason} (lexicon)")
+    wider = relation == 2 or noun != folded(text)
+    return Match(text, nodes, f"no class is called '{text}'; {reason} (lexicon)", wider)
 
 
 def _nodes_of(meaning: int, taxonomy: Taxonomy, lexicon: Lexicon) -> _Found | None:
@@ -180,10 +216,7 @@ def _unmatched(
     near = sorted((n for n, step in steps.items() if step <= _MAX_ACROSS), key=steps.__getitem__)
     hint = f"; near in meaning: {_listed(near[:_SUGGESTIONS])}" if near else ""
     searched = "" if noun == folded(text) else f" (searched for '{noun}')"
-    return (
-        f"no class or group of taxonomy '{taxonomy.name}' means '{text}'{searched}{hint}; "
-        + _REMEDY
-    )
+    return f"no class or group of taxonomy '{taxonomy.name}' means '{text}'{searched}{hint}"
 
 
 def _endings(noun: str) -> Iterator[str]:

@@ -1,0 +1,96 @@
+"""Constellations: poses from objects that are blocks of points, with outliers and mirror images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toolkit.geometry import se3
+from toolkit.loops.constellations import Constellation, closest_view, match_constellations
+
+T = se3.exp(np.array([1.0, -0.4, 0.2, 0.3, -0.8, 0.1]))
+CENTRES_M = np.array(
+    [
+        [0.0, 0.0, 0.4], [1.5, 0.2, 0.9], [-1.2, 1.0, 0.2], [0.4, 2.2, 1.4],
+        [2.0, 1.9, 0.5], [-0.8, -1.6, 0.8], [1.1, -1.2, 0.3], [-2.0, 0.1, 1.2],
+    ]
+)  # fmt: skip
+CLASSES = np.array([1, 2, 3, 3, 4, 5, 6, 7])
+
+
+def blocks(centres_m, rng, half_m=0.12):
+    """Points [K * 400, 3] in cubes."""
+    inside = rng.uniform(-half_m, half_m, (len(centres_m), 400, 3))
+    return (centres_m[:, None] + inside).reshape(-1, 3)
+
+
+def moved(points_m):
+    return se3.transform_points(se3.inverse(T), points_m)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def objects(centres_m, classes, rng):
+    return Constellation.of(blocks(centres_m, rng), np.repeat(classes, 400))
+
+
+def error(found):
+    difference = se3.log(se3.inverse(T) @ found.T_first_second)
+    return np.linalg.norm(difference[:3]), np.linalg.norm(difference[3:])
+
+
+def test_objects_are_the_connected_parts_of_each_class_in_any_frame(rng):
+    points, ids = blocks(CENTRES_M, rng), np.repeat(CLASSES, 400)
+    wall = np.stack([*np.meshgrid(*[np.arange(-2.5, 2.5, 0.04)] * 2), np.full((125, 125), 3.0)])
+    points = np.concatenate([points, wall.reshape(3, -1).T])
+    ids = np.concatenate([ids, np.full(125 * 125, 9)])
+    for placed, centres in ((points, CENTRES_M), (moved(points), moved(CENTRES_M))):
+        found = Constellation.of(placed, ids)
+        order = [np.linalg.norm(found.centres_m - c, axis=1).argmin() for c in centres]
+        assert len(found) == len(CENTRES_M)
+        np.testing.assert_array_equal(found.class_ids[order], CLASSES)
+        np.testing.assert_allclose(found.centres_m[order], centres, atol=0.03)
+        np.testing.assert_allclose(found.sizes_m, 0.24 * np.sqrt(3), rtol=0.25)
+
+
+def test_void_and_nothing_are_no_objects(rng):
+    assert len(objects(CENTRES_M, np.zeros(8, int), rng)) == 0
+    assert len(Constellation.of(np.zeros((0, 3)), np.zeros(0, int))) == 0
+
+
+def test_the_pose_follows_from_objects_although_some_moved(rng):
+    first = objects(CENTRES_M, CLASSES, rng)
+    centres = moved(CENTRES_M)
+    centres[[1, 5]] += [[0.9, 0.3, 0.0], [0.0, -1.1, 0.2]]
+    found = match_constellations(first, objects(centres, CLASSES, rng))
+    assert len(found.pairs) == 6
+    metres, radians = error(found)
+    assert metres < 0.03 and radians < 0.02
+    again = match_constellations(first, objects(centres, CLASSES, np.random.default_rng(0)))
+    assert len(again.pairs) == 6
+
+
+def test_few_or_aligned_or_other_objects_give_no_pose(rng):
+    first = objects(CENTRES_M, CLASSES, rng)
+    assert match_constellations(first, objects(moved(CENTRES_M[:3]), CLASSES[:3], rng)) is None
+    assert match_constellations(first, objects(moved(CENTRES_M), CLASSES + 10, rng)) is None
+    line = np.array([[0.8 * k, 0.0, 0.5] for k in range(5)])
+    ids = np.arange(1, 6)
+    one, other = objects(line, ids, rng), objects(moved(line), ids, rng)
+    assert match_constellations(one, other) is None
+
+
+def test_a_mirrored_constellation_is_not_accepted_as_a_whole(rng):
+    mirrored = objects(moved(CENTRES_M * [-1.0, 1.0, 1.0]), CLASSES, rng)
+    found = match_constellations(objects(CENTRES_M, CLASSES, rng), mirrored)
+    assert found is None or len(found.pairs) < 6
+
+
+def test_the_closest_view_is_near_in_place_and_direction():
+    beside = se3.exp(np.array([0.3, 0.0, 0.0, 0.0, 0.1, 0.0]))
+    turned = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0]))
+    assert closest_view(np.eye(4), [turned, beside], 1.0, 0.8) == 1
+    assert closest_view(np.eye(4), [turned], 1.0, 0.8) is None
