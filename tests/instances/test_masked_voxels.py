@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from panels import CAMERA, keyframe, panel_image
 
+from toolkit.geometry.camera import Camera
 from toolkit.geometry.voxels import voxel_keys, voxels_of
-from toolkit.instances.voxels import MaskedVoxels, VoxelVotes
+from toolkit.instances.geometric import GeometricMasks
+from toolkit.instances.voxels import MaskedVoxels, VoxelVotes, sampled, sampling_step
 
 
 def votes_of(rounds: list[list[tuple[int, int]]]) -> VoxelVotes:
@@ -78,3 +83,16 @@ def test_a_point_outside_all_voxels_has_no_owner():
     key = int(voxel_keys(voxels_of(np.zeros((1, 3)), 0.04))[0])
     votes = votes_of([[(key, 4)]])
     assert votes.owner_at(np.array([[0.01, 0.01, 0.01], [1.0, 0, 0]])).tolist() == [4, 0]
+
+
+@pytest.mark.parametrize("width", [150, 161, 323, 325, 641])
+def test_masks_are_sampled_at_the_pixels_of_the_points(width):
+    camera = Camera(100.0, 100.0, width / 2, 30.0, width, 67)
+    step = sampling_step(width)
+    columns = np.broadcast_to(np.arange(width, dtype=np.float32), (67, width))
+    # Each point then lies at the column that its mask says.
+    points = camera.unproject(np.ones((67, width), np.float32), step)
+    pixels = camera.project(points)[..., 0]
+    np.testing.assert_allclose(sampled(columns, step), pixels, atol=1e-3)
+    masks = GeometricMasks().masks(replace(keyframe(0, shape=(67, width)), camera=camera))
+    assert masks is not None and masks.ids.shape == (67, width)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from toolkit.geometry import se3
 from toolkit.geometry.voxels import voxel_keys
 from toolkit.instances.records import KeyframeMasks
-from toolkit.instances.voxels import sampling_step
+from toolkit.instances.voxels import sampled, sampling_step
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.colour_names import COLOUR_NAMES
 
@@ -67,9 +67,8 @@ def labelled_segments(keyframe: Keyframe) -> Segments | None:
     if keyframe.class_ids is None:
         return None
     step = max(1, round(keyframe.camera.width / _WIDTH))
-    sampled = slice(step // 2, None, step)  # as in `Camera.unproject`
-    labels = keyframe.class_ids.numpy()[sampled, sampled].astype(np.int32)
-    depth_m = keyframe.depth_m.numpy()[sampled, sampled]
+    labels = sampled(keyframe.class_ids.numpy(), step).astype(np.int32)
+    depth_m = sampled(keyframe.depth_m.numpy(), step)
     labels = np.where((depth_m > 0) & ~_jumps(depth_m), labels, 0)
     ids = np.zeros(labels.shape, np.int32)
     classes: list[int] = []
@@ -97,9 +96,12 @@ def masked_segments(
     """
     step = sampling_step(keyframe.camera.width)
     # Every second sample suffices: voxels are larger than masks need.
-    ids = record.ids[1::2, 1::2]
-    depth_m = keyframe.depth_m.numpy()[step :: 2 * step, step :: 2 * step]
-    ids = ids[: depth_m.shape[0], : depth_m.shape[1]]
+    depth_m = sampled(keyframe.depth_m.numpy(), 2 * step)
+    rows, columns = (
+        np.minimum(2 * np.arange(count) + 1, samples - 1)
+        for count, samples in zip(depth_m.shape, record.shape, strict=True)
+    )
+    ids = record.ids[rows[:, None], columns]
     ids = np.where((depth_m > 0) & ~_jumps(depth_m), ids, 0)
     kept = (objects > 0) & (classes > 0)
     table = np.append(0, np.where(kept, np.arange(1, len(kept) + 1), 0)).astype(np.int32)
@@ -129,8 +131,7 @@ def voxels_of_segments(
     owner = segments.ids.reshape(-1)[chosen].astype(np.int64)
     order = np.argsort(owner, kind="stable")
     owner, points, chosen = owner[order], points[order], chosen[order]
-    sampled = slice(step // 2, None, step)
-    rgb = keyframe.rgb.numpy()[:, sampled, sampled].reshape(3, -1)[:, chosen] >> 3
+    rgb = sampled(keyframe.rgb.numpy(), step).reshape(3, -1)[:, chosen] >> 3
     names = colours[rgb[0], rgb[1], rgb[2]].astype(np.int64)
     keys = voxel_keys(np.floor(points / voxels_m[owner - 1, None]).astype(np.int64))
     sums = np.column_stack([points, np.ones((len(points), 2))])

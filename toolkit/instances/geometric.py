@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from toolkit.geometry.camera import Camera
 from toolkit.instances.masks import InstanceMasks
-from toolkit.instances.voxels import sampling_step
+from toolkit.instances.voxels import sampled, sampling_step
 from toolkit.keyframe import Keyframe
 
 # A step in depth between neighbours: a fraction of the depth per pixel, in addition to the slope
@@ -42,25 +42,27 @@ class GeometricMasks:
     def masks(self, keyframe: Keyframe) -> InstanceMasks | None:
         """Return the segments of a keyframe."""
         step = sampling_step(keyframe.camera.width)  # more pixels are not compared
-        depth_m = np.ascontiguousarray(keyframe.depth_m.numpy()[::step, ::step])
+        depth_m = np.ascontiguousarray(sampled(keyframe.depth_m.numpy(), step))
         labels = None
         if self._use_labels and keyframe.class_ids is not None:
-            labels = keyframe.class_ids.numpy()[::step, ::step]
+            labels = sampled(keyframe.class_ids.numpy(), step)
         smooth = depth_m > 0
         smooth &= ~depth_steps(depth_m)
         if labels is None or not labels.any():
-            rgb = keyframe.rgb.numpy()[:, ::step, ::step].transpose(1, 2, 0)
+            rgb = sampled(keyframe.rgb.numpy(), step).transpose(1, 2, 0)
             smooth &= ~_folds(depth_m, keyframe.camera, step)
             smooth &= ~_colour_edges(np.ascontiguousarray(rgb))
             segments = _components(smooth, np.ones_like(depth_m, np.int32))
         else:
             segments = _components(smooth, labels.astype(np.int32))
         segments = _grown(segments, depth_m > 0, labels)
-        ids = np.repeat(np.repeat(segments, step, axis=0), step, axis=1)
-        height, width = keyframe.camera.height, keyframe.camera.width
+        rows, columns = (
+            np.minimum(np.arange(pixels) // step, samples - 1)
+            for pixels, samples in zip(keyframe.depth_m.shape, segments.shape, strict=True)
+        )
         count = int(segments.max(initial=0))
         return InstanceMasks(
-            ids[:height, :width],
+            segments[rows[:, None], columns],
             [None] * count,
             np.ones(count, np.float32),
             np.zeros((count, 0), np.float32),
@@ -85,9 +87,8 @@ def depth_steps(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
 def _folds(depth_m: NDArray[np.float32], camera: Camera, step: int) -> NDArray[np.bool_]:
     """Mask of the pixels where the normal changes between their neighbours."""
     z = cv2.GaussianBlur(depth_m, (0, 0), 1.0)
-    height, width = z.shape
-    x = (np.arange(width, dtype=np.float32) * step - camera.cx) / camera.fx * z
-    y = ((np.arange(height, dtype=np.float32) * step - camera.cy) / camera.fy)[:, None] * z
+    rays = camera.rays(step).astype(np.float32)
+    x, y = rays[..., 0] * z, rays[..., 1] * z
     across = [channel[1:-1, 2:] - channel[1:-1, :-2] for channel in (x, y, z)]
     down = [channel[2:, 1:-1] - channel[:-2, 1:-1] for channel in (x, y, z)]
     normal = [across[i] * down[j] - across[j] * down[i] for i, j in ((1, 2), (2, 0), (0, 1))]

@@ -19,7 +19,7 @@ from toolkit.instances.objects import TrackedObject
 from toolkit.instances.options import InstanceOptions
 from toolkit.instances.records import KeyframeMasks, records_state, restored_records
 from toolkit.instances.saved import SavedObjects
-from toolkit.instances.voxels import MaskedVoxels, VoxelVotes, sampling_step
+from toolkit.instances.voxels import MaskedVoxels, VoxelVotes, sampled, sampling_step
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.embedding_fusion import view_weights
@@ -125,7 +125,7 @@ class InstanceTracker:
         masks = _limited(masks)
         self._check_embeddings(masks, keyframe.index)
         step = sampling_step(keyframe.camera.width)
-        ids = masks.ids[::step, ::step]
+        ids = sampled(masks.ids, step)
         votes = self._votes.setdefault(submap, VoxelVotes(self.options.voxel_m))
         depth_m = keyframe.depth_m.numpy()
         pose = keyframe.T_map_camera
@@ -166,7 +166,7 @@ class InstanceTracker:
         classes = list(masks.classes)
         if keyframe.class_ids is None or all(name is not None for name in classes):
             return classes
-        labels = keyframe.class_ids.numpy()[::step, ::step].reshape(-1).astype(np.int64)
+        labels = sampled(keyframe.class_ids.numpy(), step).reshape(-1).astype(np.int64)
         width = int(labels.max(initial=0)) + 1
         cells = np.bincount(
             ids.reshape(-1).astype(np.int64) * width + labels, minlength=(len(masks) + 1) * width

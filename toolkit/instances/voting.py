@@ -88,8 +88,10 @@ class GaussianVotes:
         index, row, column = self._visible(masked)
         step = sampling_step(masked.keyframe.camera.width)
         ids = masked.record.ids
-        row = np.minimum(np.rint(row / step).astype(np.intp), ids.shape[0] - 1)
-        column = np.minimum(np.rint(column / step).astype(np.intp), ids.shape[1] - 1)
+        row, column = (
+            np.rint((pixel - step // 2) / step).astype(np.intp).clip(0, samples - 1)
+            for pixel, samples in zip((row, column), ids.shape, strict=True)
+        )
         mask = ids[row, column]
         found = np.concatenate([[0], masked.objects])[mask].astype(np.int64)
         # A mask of several objects cannot say which one a Gaussian belongs to; the voxels can.

@@ -30,6 +30,11 @@ def sampling_step(width: int) -> int:
     return max(1, round(width / SAMPLED_WIDTH))
 
 
+def sampled(image: NDArray, step: int) -> NDArray:
+    """Every step-th pixel of an image [..., H, W] in each direction, as in `Camera.unproject`."""
+    return image[..., step // 2 :: step, step // 2 :: step]
+
+
 @dataclass(frozen=True, eq=False)
 class MaskedVoxels:
     """The voxels that a keyframe sees, each with the mask of most of its pixels.
