@@ -93,7 +93,7 @@ class GrowingScene:
         self._young: dict[int, int] = {}
         self._ground: Ground | None = None
         self._floor_size, self._next = 0, 1
-        self._coarse: dict[tuple[int, int], tuple[int, Keys]] = {}
+        self._coarse: dict[tuple[int, int], tuple[int, Keys]] = {}  # with the pixels at that time
 
     def update(self, atlas: Atlas, metres_per_unit: float = 1.0) -> None:
         """Add the newest keyframes of the active submap, and follow corrections of poses.
@@ -297,11 +297,11 @@ class GrowingScene:
     def _world_keys(self, number: int, submap: int) -> Keys:
         """Numbers of the coarse voxels of an object's surface in a submap, in the world."""
         part = self.objects[number].fragments[submap]
-        known = self._coarse.get((number, submap))
-        if known is None or known[0] != len(part.keys):
+        known, pixels = self._coarse.get((number, submap)), part.pixels
+        if known is None or known[0] != pixels:
             points = se3.transform_points(self._poses[submap], part.points_m(1))
             edge_m = _SAME_EDGES * VOXEL_M
-            known = len(part.keys), np.unique(voxel_keys(voxels_of(points, edge_m)))
+            known = pixels, np.unique(voxel_keys(voxels_of(points, edge_m)))
             self._coarse[number, submap] = known
         return known[1]
 

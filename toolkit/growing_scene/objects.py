@@ -62,6 +62,11 @@ class Fragment:
         places = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
         return int((self.keys[places] == keys).sum())
 
+    @property
+    def pixels(self) -> int:
+        """Number of the points in all voxels."""
+        return int(self.sums_m[:, 3].sum())
+
     def points_m(self, min_views: int) -> Array:
         """Return the mean point [n, 3] of each voxel that enough keyframes saw."""
         kept = self.sums_m[self.sums_m[:, 4] >= min_views]
