@@ -191,7 +191,7 @@ def estimate_motion(
     if sigma is None or not motion.views:
         return motion
     motion = replace(motion, focal_sigma=sigma)
-    return replace(motion, doubts=_doubts(motion))
+    return replace(motion, doubts=doubts_about(motion))
 
 
 def combined_focal(prior_sigma: float, estimated: float, sigma: float) -> tuple[float, float]:
@@ -268,7 +268,7 @@ def _evaluated(odometry: _Followed, frames: ImageSequence, calibrated: bool) -> 
     # The longest part determines the focal length.
     others = [_corrected(m, image, detected, times_s, True) for m in maps[1:]]
     motion = replace(main, without_pose=without, others=tuple(others))
-    return replace(motion, doubts=_doubts(motion))
+    return replace(motion, doubts=doubts_about(motion))
 
 
 def _corrected(
@@ -329,7 +329,7 @@ def swept_keyframe(
     return SweptKeyframe(frame, T_world_camera, float(near), float(far))
 
 
-def _doubts(motion: CameraMotion) -> list[str]:
+def doubts_about(motion: CameraMotion) -> list[str]:
     """The reliability checks that failed for a motion, one message each."""
     doubts = []
     if motion.extent < _MIN_EXTENT:
