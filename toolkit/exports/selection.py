@@ -104,7 +104,8 @@ class SelectedGaussians:
                 f"{self.run.folder.map} has no labels, which this format needs; run SLAM again "
                 "with semantics: on a dataset with label images, or with a segmenter"
             )
-        return LabelledMap(self.means_m, self.labels, self._taxonomy())
+        axes_m = self.gaussians.axes_m()
+        return LabelledMap(self.means_m, self.labels, self._taxonomy(), axes_m)
 
     @property
     def classes(self) -> dict[int, str]:

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.ellipsoids import SHAPES, Ellipsoids
+from toolkit.gaussians.ellipsoids import SHAPES, Ellipsoids, rotation_matrices
 
 # The tensors of a cloud, one row for each Gaussian.
 PARAMETERS = ("means", "log_radii", "opacity_logits", "colours", "features")
@@ -156,6 +157,14 @@ class GaussianCloud:
     def as_ellipsoids(self) -> Ellipsoids:
         """Return the shapes of all Gaussians."""
         return self.ellipsoids or Ellipsoids.spheres(self.log_radii)
+
+    def axes_m(self) -> NDArray[np.float64] | None:
+        """Axes [N, 3, 3] of ellipsoids, in rows, as long as the standard deviations."""
+        if self.ellipsoids is None:
+            return None
+        shapes = self.ellipsoids.mapped(lambda tensor: tensor.detach().cpu().double())
+        axes = rotation_matrices(shapes.rotations).mT * shapes.log_scales.exp()[:, :, None]
+        return np.asarray(axes.numpy())
 
     def tensors(self) -> dict[str, Tensor]:
         """Return all tensors by name, those of the ellipsoids among them."""

@@ -37,7 +37,7 @@ from toolkit.io.covariances import write_covariances
 from toolkit.io.object_embeddings import OBJECTS
 from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.io.splat_parts import write_splat_parts
-from toolkit.io.splats import read_splats
+from toolkit.io.splats import Splats, read_splats
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.runs.lock import LOCK, is_unused
 from toolkit.semantics.taxonomy import Taxonomy
@@ -380,7 +380,11 @@ def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
         DatasetError: the file is missing.
         FormatError: it is not a splat file.
     """
-    splats = read_splats(path)
+    return cloud_of(read_splats(path))
+
+
+def cloud_of(splats: Splats) -> GaussianCloud:
+    """The Gaussians of a splat file."""
     arrays = (splats.means, splats.log_radii, splats.opacity_logits, splats.colours)
     means, log_radii, opacity_logits, colours = (
         torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in arrays

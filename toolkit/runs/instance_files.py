@@ -8,7 +8,7 @@ from toolkit.instances.result import InstanceMap
 from toolkit.io.object_embeddings import ObjectEmbeddings, write_objects
 from toolkit.io.splat_labels import SplatLabels, instances_in
 from toolkit.io.splats import Splats, read_splats
-from toolkit.runs.folder import RunFolder
+from toolkit.runs.folder import RunFolder, cloud_of
 from toolkit.runs.map_files import object_values
 from toolkit.runs.object_embedding import collected
 from toolkit.semantics.boxes import oriented_box
@@ -63,7 +63,8 @@ def _listed(
     model: str,
 ) -> ObjectEmbeddings | None:
     """Embeddings of the objects that queries list; those with too few Gaussians are left out."""
-    map_ = LabelledMap(splats.means.astype(np.float64), labels, taxonomy)
+    cloud = cloud_of(splats)
+    map_ = LabelledMap(splats.means.astype(np.float64), labels, taxonomy, cloud.axes_m())
     objects = map_.objects(None, map_.ground(), ObjectOptions())
     found = {n: fused[one.instance] for n, one in enumerate(objects) if one.instance in fused}
     return collected(objects, found, model) if found else None

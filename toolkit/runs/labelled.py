@@ -106,8 +106,9 @@ def label(run: FinishedRun) -> LabelledRun:
             f"{path} has no {TAXONOMY}, which defines the labels of the map; copy the taxonomy of "
             "the run there"
         )
-    means_m = run.gaussians.means.numpy().astype(np.float64)
+    gaussians = run.gaussians
+    means_m, axes_m = gaussians.means.numpy().astype(np.float64), gaussians.axes_m()
     try:
-        return LabelledRun(run, LabelledMap(means_m, labels, Taxonomy.load(file)))
+        return LabelledRun(run, LabelledMap(means_m, labels, Taxonomy.load(file), axes_m))
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from error

@@ -29,6 +29,8 @@ CEILING_NAMES = ("ceiling",)
 _LOWEST_PERCENT = 0.5
 # Minimum number of neighbours of a DBSCAN core point, itself included.
 _MIN_NEIGHBOURS = 4
+# Places on an axis of an ellipsoid, in standard deviations.
+_ON_AXES = np.array([-1.0, -0.5, 0.5, 1.0])
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class ObjectOptions:
     """
 
     link_m: float = 0.06
-    min_gaussians: int = 50
+    min_gaussians: int = 20
     min_confidence: float = 0.0
 
 
@@ -80,6 +82,8 @@ class LabelledMap:
         means_m: [N, 3] float64, centres in the map frame, in metres.
         labels: label of each Gaussian.
         taxonomy: the tree that the labels refer to.
+        axes_m: [N, 3, 3] the axes (rows) of ellipsoids, as long as the standard deviations; None
+            for spheres. They bridge the distances between the centres of large ellipsoids.
 
     Raises:
         FormatError: the labels do not belong to this tree.
@@ -89,6 +93,7 @@ class LabelledMap:
     means_m: Array
     labels: SplatLabels
     taxonomy: Taxonomy
+    axes_m: Array | None = None
 
     def __post_init__(self) -> None:
         if self.means_m.shape != (len(self.labels), 3):
@@ -220,7 +225,9 @@ class LabelledMap:
 
     def pieces(self, index: NDArray[np.intp], options: ObjectOptions) -> list[NDArray[np.intp]]:
         """Return the connected components of some Gaussians, without noise."""
-        found = [index[piece] for piece in connected(self.means_m[index], options.link_m)]
+        axes_m = None if self.axes_m is None else self.axes_m[index]
+        pieces = connected(self.means_m[index], options.link_m, axes_m)
+        found = [index[piece] for piece in pieces]
         return [piece for piece in found if len(piece) >= options.min_gaussians]
 
     def _finest(self, above: Node | None) -> NDArray[np.int32]:
@@ -270,14 +277,24 @@ def check_labels(labels: SplatLabels, taxonomy: Taxonomy) -> None:
             )
 
 
-def connected(points_m: Array, link_m: float) -> list[NDArray[np.intp]]:
+def connected(
+    points_m: Array, link_m: float, axes_m: Array | None = None
+) -> list[NDArray[np.intp]]:
     """Return the indices of each connected component of points [N, 3], largest first.
 
     Noise is dropped. Uses DBSCAN (Open3D) on the means of voxels of half the link distance: this
     is deterministic and reduces a wall of 100 000 Gaussians to some thousand points.
+
+    Args:
+        points_m: centres.
+        link_m: maximum distance of neighbours.
+        axes_m: [N, 3, 3] axes of ellipsoids around the points; see `LabelledMap`.
     """
-    if len(points_m) == 0:
+    count = len(points_m)
+    if count == 0:
         return []
+    if axes_m is not None:
+        points_m = np.concatenate([points_m, _along_axes(points_m, axes_m, link_m)])
     keys = np.floor(points_m / (link_m / 2)).astype(np.int64)
     _, cells, sizes = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     cells = cells.reshape(-1)
@@ -286,6 +303,13 @@ def connected(points_m: Array, link_m: float) -> list[NDArray[np.intp]]:
     cloud = o3d.geometry.PointCloud(
         o3d.utility.Vector3dVector(np.stack(sums, axis=1) / sizes[:, None])
     )
-    pieces = np.asarray(cloud.cluster_dbscan(link_m, _MIN_NEIGHBOURS))[cells]
+    pieces = np.asarray(cloud.cluster_dbscan(link_m, _MIN_NEIGHBOURS))[cells[:count]]
     found = [np.flatnonzero(pieces == piece) for piece in range(pieces.max() + 1)]
-    return sorted(found, key=len, reverse=True)
+    return sorted([piece for piece in found if len(piece)], key=len, reverse=True)
+
+
+def _along_axes(points_m: Array, axes_m: Array, link_m: float) -> Array:
+    """Points [M, 3] on the axes of ellipsoids that are longer than half the link distance."""
+    owner, axis = np.nonzero(np.linalg.norm(axes_m, axis=2) > link_m / 2)
+    steps = _ON_AXES[:, None, None] * axes_m[owner, axis]
+    return np.asarray(points_m[owner] + steps).reshape(-1, 3)
