@@ -65,6 +65,7 @@ def test_a_text_ranks_the_objects(room, clip, capsys):
     assert len(red["ranking"]) == 2
     assert blue["ranking"][0] | {"similarity": 0, "weight": 0} == {
         "id": 12,
+        "instance": None,
         "name": None,
         "path": [],
         "similarity": 0,

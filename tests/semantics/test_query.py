@@ -287,7 +287,7 @@ def test_nothing_has_no_pieces():
 def test_large_ellipsoids_are_connected_through_their_axes():
     # Two boards 40 cm apart, each of ten flat ellipsoids whose centres are 9 cm apart.
     row = np.stack([0.09 * np.arange(10), np.zeros(10), np.zeros(10)], axis=1)
-    points_m = np.concatenate([row, row + [0.0, 0.4, 0.0]])
+    points_m = np.concatenate([row, row + np.array([0.0, 0.4, 0.0])])
     axes_m = np.tile(np.diag([0.045, 0.04, 0.002]), (20, 1, 1))
     assert connected(points_m, 0.06) == []
     boards = connected(points_m, 0.06, axes_m)

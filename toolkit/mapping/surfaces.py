@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.open3d_bridge import open3d
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 Array = NDArray[np.float64]
 
@@ -34,22 +36,21 @@ class Surfaces:
         centres: [N, 3] in metres.
         normals: [N, 3] unit normals of arbitrary sign; zero for unconstrained centres.
         limits_m: [N] maximum distances from the mean of the neighbours.
-        neighbours: [N, N] weights of that mean of distances from the planes.
+        neighbours: [N, N] weights of that mean of distances from the planes, None without planes.
     """
 
     centres: Tensor
     normals: Tensor
     limits_m: Tensor
-    neighbours: csr_matrix
+    neighbours: csr_matrix | None
 
     @classmethod
     def of(cls, gaussians: GaussianCloud) -> Surfaces:
         """Fit planes to the neighbours of each centre; too few centres are unconstrained."""
         centres = gaussians.means.clone()
         points = centres.cpu().double().numpy()
-        count, normals = len(points), np.zeros_like(points)
-        neighbours = csr_matrix((count, count), dtype=np.float32)
-        if count >= _NEIGHBOURS:
+        normals, neighbours = np.zeros_like(points), None
+        if len(points) >= _NEIGHBOURS:
             o3d = open3d()
             cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
             cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NEIGHBOURS))
@@ -61,6 +62,8 @@ class Surfaces:
     def off_m(self, centres: Tensor) -> Tensor:
         """Signed distances [N] of moved centres [N, 3] from where their neighbours moved to."""
         distance_m = ((centres - self.centres) * self.normals).sum(dim=1)
+        if self.neighbours is None:
+            return distance_m
         return distance_m - torch.from_numpy(self.neighbours @ distance_m.cpu().numpy()).to(centres)
 
     def keep(self, centres: Tensor) -> Tensor:
@@ -75,6 +78,10 @@ def _means_of_neighbours(points: Array, normals: Array) -> csr_matrix:
 
     Normals may point to either side: the sign of a weight tells whether those of two points agree.
     """
+    # Not at the top: tracking and mapping of a few images run where only PyTorch is installed.
+    from scipy.sparse import csr_matrix
+    from scipy.spatial import KDTree
+
     index = KDTree(points).query(points, k=_NEIGHBOURS)[1]
     cosines = np.einsum("ijk,ik->ij", normals[index], normals)
     weights = np.where(np.abs(cosines) > _SAME_SURFACE, np.sign(cosines), 0.0)
