@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.geometry import se3
 
 
@@ -118,3 +119,23 @@ def test_operations_keep_how_colours_were_fitted() -> None:
     ):
         assert result.centred_colours
     assert not GaussianCloud.concatenate([cloud, GaussianCloud.empty()]).centred_colours
+
+
+def test_a_flat_ellipsoid_is_seen_as_large_as_it_is():
+    # Half axes of 4, 2 and 0.1 cm; the second one is turned, so that its first axis points up.
+    scales = torch.tensor([[0.04, 0.02, 0.001]] * 2)
+    half = 2.0**-0.5
+    rotations = torch.tensor([[1.0, 0.0, 0.0, 0.0], [half, 0.0, -half, 0.0]])
+    cloud = replace(
+        random_cloud(count=2), ellipsoids=Ellipsoids(scales.log(), rotations, torch.zeros(2, 0, 3))
+    )
+    up = np.array([0.0, 0.0, 1.0])
+    assert cloud.radii_seen_m(up) == pytest.approx([(0.04 * 0.02) ** 0.5, (0.02 * 0.001) ** 0.5])
+    # Between the axes, the area is that of the projected covariance.
+    aslant = np.array([0.6, 0.0, 0.8])
+    across = np.array([[0.0, 1.0, 0.0], [0.8, 0.0, -0.6]])
+    projected = cloud.axes_m() @ across.T
+    areas = np.linalg.det(projected.transpose(0, 2, 1) @ projected) ** 0.25
+    assert cloud.radii_seen_m(aslant) == pytest.approx(areas)
+    spheres = random_cloud(count=2)
+    assert spheres.radii_seen_m(up) == pytest.approx(spheres.radii_m.numpy(), rel=1e-6)

@@ -33,7 +33,7 @@ def export_occupancy_grid(
     """
     ground = required_ground(selection, floor)
     opaque = selection.opaque()
-    radii_m = opaque.gaussians.radii_m.numpy().astype(np.float64)
+    radii_m = opaque.gaussians.radii_seen_m(ground.up)
     grid = occupancy_grid(opaque.means_m, radii_m, ground, options)
     write_occupancy_grid(path, grid, selection.run.origin_m)
     return grid

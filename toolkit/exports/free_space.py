@@ -87,7 +87,7 @@ def free_space(
     """
     options = options or GridOptions()
     opaque = selection.opaque()
-    means_m, radii_m = opaque.means_m, opaque.gaussians.radii_m.numpy().astype(np.float64)
+    means_m, radii_m = opaque.means_m, opaque.gaussians.radii_seen_m(ground.up)
     raw = occupancy_grid(means_m, radii_m, ground, options)
     heights_m = se3.transform_points(raw.T_grid_map, means_m)[:, 2]
     within = (heights_m >= options.min_height_m) & (heights_m <= options.max_height_m)

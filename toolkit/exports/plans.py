@@ -64,7 +64,7 @@ def export_floor_plan(
     ground = required_ground(selection, floor)
     palette = Palette(labelled.taxonomy)
     cameras_m = selection.run.trajectory.positions_m
-    radii_m = opaque.gaussians.radii_m.numpy().astype(float)
+    radii_m = opaque.gaussians.radii_seen_m(ground.up)
     plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
     drawing, found, rooms = None, None, None
     if options.rooms or options.graph or options.path is not None:

@@ -166,6 +166,20 @@ class GaussianCloud:
         axes = rotation_matrices(shapes.rotations).mT * shapes.log_scales.exp()[:, :, None]
         return np.asarray(axes.numpy())
 
+    def radii_seen_m(self, direction: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Radii [N] of discs of the areas of the Gaussians seen along a unit vector [3].
+
+        The mean of the axes of a flat ellipsoid is much smaller than the floor that it covers.
+        """
+        axes_m = self.axes_m()
+        if axes_m is None:
+            return np.asarray(self.radii_m.cpu().double().numpy())
+        lengths_m = np.linalg.norm(axes_m, axis=2)
+        cosines = axes_m @ direction / lengths_m
+        # Along an axis, one sees the ellipse of the two others.
+        areas = lengths_m.prod(axis=1, keepdims=True) / lengths_m
+        return np.asarray(((cosines * areas) ** 2).sum(axis=1) ** 0.25)
+
     def tensors(self) -> dict[str, Tensor]:
         """Return all tensors by name, those of the ellipsoids among them."""
         shapes = {} if self.ellipsoids is None else self.ellipsoids.tensors()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import Dataset
@@ -21,6 +22,7 @@ from toolkit.geometry.frustum import Frustum, far_depth_m, observed_points
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import read_splats
 from toolkit.loops.log import read_loop_log
+from toolkit.runs.folder import cloud_of
 from toolkit.semantics.floor_plan import draw_floor_plan, floor_plan
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import LabelledMap
@@ -117,6 +119,6 @@ def report_floor_plan(
     if ground is None:
         return None
     palette = Palette(taxonomy)
-    radii_m = np.exp(splats.log_radii[opaque]).astype(np.float64)
+    radii_m = cloud_of(splats).select(torch.from_numpy(opaque)).radii_seen_m(ground.up)
     plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
     return ReportFloorPlan(draw_floor_plan(plan, palette, legend=False, names=names), plan.areas)
