@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from benchmarks.machine import machine_identity
+from benchmarks.machine import instruction_set, machine_identity
 from benchmarks.repository import ROOT, SYSTEM, source_digest
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.stale import update_index
@@ -46,7 +46,7 @@ class RunStore:
 
     def __init__(self, path: Path, fresh: bool = False) -> None:
         self._path = path
-        self._code = [source_digest(), machine_identity()]
+        self._code = [source_digest(), machine_identity(), instruction_set()]
         self._known: dict[str, Metrics] = {}
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         for line in [] if fresh else lines:
