@@ -201,7 +201,7 @@ class QueryProgram:
     """Minimum confidence of the class of a Gaussian."""
     link_m: PositiveFloat = 0.06
     """Maximum distance between neighbouring Gaussians of one object, in metres."""
-    min_gaussians: PositiveInt = 20
+    min_gaussians: PositiveInt = 30
     """Minimum number of Gaussians of an object."""
     floor: tuple[str, ...] = ()
     """Classes of the floor, which determines the vertical direction. By default, those of floor,

@@ -60,7 +60,7 @@ class ObjectGraphOptions:
 
     link_m: PositiveFloat = 0.06
     """Maximum distance between neighbouring Gaussians of one object, in metres."""
-    min_gaussians: PositiveInt = 20
+    min_gaussians: PositiveInt = 30
     """Minimum number of Gaussians of an object."""
     contact_m: PositiveFloat = 0.08
     """Maximum vertical gap between an object and the one that supports it, in metres."""

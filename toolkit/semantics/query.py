@@ -44,7 +44,7 @@ class ObjectOptions:
     """
 
     link_m: float = 0.06
-    min_gaussians: int = 20
+    min_gaussians: int = 30
     min_confidence: float = 0.0
 
 

@@ -91,7 +91,7 @@ class QueryParameters(BaseModel):
     )
     min_confidence: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
     link_m: Annotated[float, Field(ge=0.01, le=1, allow_inf_nan=False)] = 0.06
-    min_gaussians: Annotated[int, Field(ge=1, le=10**9)] = 20
+    min_gaussians: Annotated[int, Field(ge=1, le=10**9)] = 30
 
 
 class PageParameters(BaseModel):
