@@ -10,8 +10,8 @@ from toolkit.geometry import se3
 from toolkit.runs.visibility import KeyframeViews
 from toolkit.semantics.changes import ComparedObject, MapChanges, Seen, compare_objects
 
-# A leg of a chair, say, is a piece of an object of so many times its Gaussians whose box, enlarged by
-# so much, contains its centre.
+# A piece of an object, such as the leg of a chair: the object has so many times its Gaussians, and
+# its box, enlarged by so much, contains the centre of the piece.
 _LARGER, _BESIDE_M = 4, 0.1
 
 
