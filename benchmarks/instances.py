@@ -33,7 +33,7 @@ from toolkit.instances.records import KeyframeMasks
 from toolkit.instances.result import InstanceMap
 from toolkit.instances.tracking import InstanceTracker
 from toolkit.instances.voting import GaussianVotes, MaskedKeyframe
-from toolkit.instances.voxels import VoxelVotes, sampling_step
+from toolkit.instances.voxels import VoxelVotes, sampled, sampling_step
 from toolkit.keyframe import Keyframe
 from toolkit.refinement.fusion import FusedMap
 from toolkit.runs.building import build_slam
@@ -157,7 +157,7 @@ def _scored(name: str, seed: int) -> Metrics:
         slam.process_frame(dataset[index])
         for keyframe in slam.atlas.keyframes[-1:]:
             step = sampling_step(keyframe.camera.width)
-            shown[keyframe.index] = truth.truth(keyframe)[::step, ::step]
+            shown[keyframe.index] = sampled(truth.truth(keyframe), step)
         for row, tracker in trackers.items():
             begin = time.process_time()
             tracker.update(slam.atlas.active, slam.atlas.keyframes)
@@ -215,7 +215,7 @@ def _true_instances(slam: Slam, fused: FusedMap, truth: TrueMasks) -> NDArray[np
         for keyframe, image in zip(submap.keyframes, images, strict=True):
             step = sampling_step(keyframe.camera.width)
             numbers = np.arange(1, largest + 1, dtype=np.int32)
-            record = KeyframeMasks.of(keyframe.index, number, numbers, image[::step, ::step])
+            record = KeyframeMasks.of(keyframe.index, number, numbers, sampled(image, step))
             pose = submap.T_world_camera(keyframe)
             votes.add(MaskedKeyframe(keyframe, pose, record, numbers))
         found.append(votes.winners(fill=False))
