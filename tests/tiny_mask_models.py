@@ -26,6 +26,18 @@ def _swin(stages: list[str]) -> object:
 
 
 _STAGES = ["stage1", "stage2", "stage3", "stage4"]
+# What the configurations of Mask2Former and OneFormer have in common.
+_SMALL = {
+    "hidden_dim": 32,
+    "encoder_feedforward_dim": 16,
+    "dim_feedforward": 16,
+    "encoder_layers": 1,
+    "decoder_layers": 2,
+    "num_attention_heads": 2,
+    "num_queries": 6,
+    "id2label": CLASSES,
+    "label2id": {name: i for i, name in CLASSES.items()},
+}
 
 
 def save_mask2former(folder: Path) -> Path:
@@ -37,15 +49,7 @@ def save_mask2former(folder: Path) -> Path:
         backbone_config=_swin(_STAGES),
         feature_size=32,
         mask_feature_size=32,
-        hidden_dim=32,
-        encoder_feedforward_dim=16,
-        dim_feedforward=16,
-        encoder_layers=1,
-        decoder_layers=2,
-        num_attention_heads=2,
-        num_queries=6,
-        id2label=CLASSES,
-        label2id={name: i for i, name in CLASSES.items()},
+        **_SMALL,
     )
     transformers.Mask2FormerForUniversalSegmentation(config).save_pretrained(folder)
     return _with_images(folder)
@@ -60,17 +64,9 @@ def save_oneformer(folder: Path) -> Path:
         backbone_config=_swin(_STAGES),
         conv_dim=32,
         mask_dim=32,
-        hidden_dim=32,
-        encoder_feedforward_dim=16,
-        dim_feedforward=16,
-        encoder_layers=1,
-        decoder_layers=2,
-        num_attention_heads=2,
-        num_queries=6,
+        **_SMALL,
         task_seq_len=8,
         text_encoder_vocab_size=len(_SPECIAL) + len(WORDS),
-        id2label=CLASSES,
-        label2id={name: i for i, name in CLASSES.items()},
     )
     transformers.OneFormerForUniversalSegmentation(config).save_pretrained(folder)
     return _with_tokenizer(_with_images(folder))
