@@ -44,11 +44,13 @@ class Case:
         sequence: its name in `benchmarks.recordings`.
         options: further options of `semsplat run`, which choose the frames.
         real: a real sensor, whose exposure varies: a gain and a bias are fitted to each view.
+        patience: CPU seconds of OpenSplat's long run as a multiple of `--long-s`.
     """
 
     sequence: str
     options: tuple[str, ...]
     real: bool = False
+    patience: float = 1.0
 
     @property
     def row(self) -> list[str]:
@@ -56,11 +58,16 @@ class Case:
         return [self.sequence, *self.options, "--poses", "given"]
 
 
-_SIXTY = ("--max-frames", "60")
+_SIXTY, _SMALL = ("--max-frames", "60"), ("--image-size", "160", "120")
+_PATIENCE = 5.0
 CASES = {
     "office0 300x170": Case("office0", ("--image-size", "300", "170")),
     "room 320x240": Case("room", _SIXTY),
     "RedKitchen 320x240": Case("redkitchen", _SIXTY, real=True),
+    # Small enough for the trainer to converge.
+    "office0 150x85": Case("office0", ("--image-size", "150", "85"), patience=_PATIENCE),
+    "room 160x120": Case("room", (*_SIXTY, *_SMALL), patience=_PATIENCE),
+    "RedKitchen 160x120": Case("redkitchen", (*_SIXTY, *_SMALL), real=True, patience=_PATIENCE),
 }
 DESCRIPTION = f"""\
 Every fifth frame is held out from both programs, and the poses are the recording's. `semsplat run`
@@ -69,9 +76,10 @@ are those of the whole process, start and evaluation included. OpenSplat (CPU bu
 keyframes of our map, the same poses and {POINTS // 1000} k points of their depth images, and is run
 in the input's frame and at full resolution from the first step (`--num-downscales 0`), otherwise
 with its default settings. "Equal CPU time" has as many steps as fit into the CPU time of our
-slower map, "long" as many as fit into `--long-s` CPU seconds; both are estimated from two short
-runs, and the learning rates of each run end with it. The map half-way through the long run
-shows how far that run is from convergence.
+slower map, "long" as many as fit into `--long-s` CPU seconds, {_PATIENCE:g} times as many for the
+small images, on which it comes near convergence; both are estimated from two short runs, and the
+learning rates of each run end with it. The map half-way through the long run shows how far that run
+is from convergence.
 
 The splat files of both are read and rendered at the poses of the held-out frames by the same code;
 MB are those of the files (OpenSplat's hold third-degree harmonics). On the real recording a gain
@@ -105,7 +113,7 @@ def main() -> None:
     options = tyro.cli(Options)
     program = program_path(options.opensplat, os.environ)
     report = Report("trainers", "Trainers at equal effort", DESCRIPTION, options)
-    jobs = {name: [name, options.long_s] for name in CASES}
+    jobs = {name: [name, options.long_s * case.patience] for name, case in CASES.items()}
     found = report.measured(jobs, lambda job, seed: measure(job, seed, OpenSplat(program)))
     rows = rows_of(found)
     table = table_of(COLUMNS, rows, "recording, map")
