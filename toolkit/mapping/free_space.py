@@ -183,20 +183,24 @@ def hides_view(means: Tensor, camera: Camera, T_map_cameras: Array) -> Tensor:
     return mask.to(means.device)
 
 
+def evidence_of_all(gaussians: GaussianCloud, keyframes: Iterable[Keyframe]) -> Evidence:
+    """Evidence of all keyframes of a map about its N Gaussians."""
+    return Evidence.of(gaussians.means, (DepthView.of(keyframe) for keyframe in keyframes))
+
+
 def contradicted_by_all(
-    gaussians: GaussianCloud, keyframes: Sequence[Keyframe], T_map_cameras: Array
+    gaussians: GaussianCloud, evidence: Evidence, camera: Camera, T_map_cameras: Array
 ) -> Tensor:
     """Mask [N] of the Gaussians in space that keyframes together measured as empty.
 
     Args:
-        keyframes: all those of the map.
+        evidence: that of all keyframes; it is completed by the frames in place.
+        camera: intrinsics of the frames.
         T_map_cameras: [P, 4, 4] poses of frames, in front of which space is empty, too.
     """
-    means, camera = gaussians.means, keyframes[0].camera
-    evidence = Evidence.of(means, (DepthView.of(keyframe) for keyframe in keyframes))
-    evidence.pass_by(means, camera, T_map_cameras)
+    evidence.pass_by(gaussians.means, camera, T_map_cameras)
     mask = evidence.contradicts_in_map(gaussians.radii_m)
-    return mask | hides_view(means, camera, T_map_cameras)
+    return mask | hides_view(gaussians.means, camera, T_map_cameras)
 
 
 class FreeSpace:

@@ -15,8 +15,7 @@ from torch import Tensor
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.depth_views import DepthView
-from toolkit.mapping.free_space import Evidence
+from toolkit.mapping.free_space import evidence_of_all
 from toolkit.rendering.backend import Backend
 
 # Minimum weight of a Gaussian in the image of some keyframe, summed over its pixels.
@@ -25,10 +24,19 @@ _MIN_PIXELS = 0.25
 _REDUCTION = 2
 
 
-def hidden(gaussians: GaussianCloud, keyframes: Sequence[Keyframe], backend: Backend) -> Tensor:
+def hidden(
+    gaussians: GaussianCloud,
+    keyframes: Sequence[Keyframe],
+    backend: Backend,
+    support: Tensor | None = None,
+) -> Tensor:
     """Mask [N] of the Gaussians on measured surfaces that no keyframe shows in 0.25 pixels.
 
     What lies behind those surfaces is kept: a frame between keyframes may have seen it.
+
+    Args:
+        support: [N] number of the keyframes that measured a surface at each Gaussian; computed if
+            it is not given.
     """
     shades = replace(
         gaussians,
@@ -52,5 +60,6 @@ def hidden(gaussians: GaussianCloud, keyframes: Sequence[Keyframe], backend: Bac
         assert gradients.colours is not None
         ids, weights = gradients.ids, _REDUCTION**2 * gradients.colours[:, 0]
         largest[ids] = torch.maximum(largest[ids], weights)
-    evidence = Evidence.of(gaussians.means, (DepthView.of(keyframe) for keyframe in keyframes))
-    return (largest < _MIN_PIXELS) & (evidence.support > 0)
+    if support is None:
+        support = evidence_of_all(gaussians, keyframes).support
+    return (largest < _MIN_PIXELS) & (support > 0)

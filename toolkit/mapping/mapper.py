@@ -27,7 +27,12 @@ from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
 from toolkit.mapping.effort import Effort
 from toolkit.mapping.final_optimisation import refine
-from toolkit.mapping.free_space import FreeSpace, contradicted_by_all, is_measured
+from toolkit.mapping.free_space import (
+    FreeSpace,
+    contradicted_by_all,
+    evidence_of_all,
+    is_measured,
+)
 from toolkit.mapping.hidden_gaussians import hidden
 from toolkit.mapping.hole_filling import fill_all_holes
 from toolkit.mapping.keyframe_exposures import KeyframeExposures
@@ -304,9 +309,9 @@ class Mapper:
             classes = self.semantics.classes_of(submap.gaussians.features)
             to_ellipsoids(submap, classes, self.options.final_harmonics)
         refine(submap, self._optimisation, self.options, self._generator, steps, merge)
-        self._clear_free_space(submap, T_map_cameras)
+        support = self._clear_free_space(submap, T_map_cameras)
         if self.options.final_iterations:
-            _remove(submap, hidden(submap.gaussians, submap.keyframes, self._backend))
+            _remove(submap, hidden(submap.gaussians, submap.keyframes, self._backend, support))
         self.densification.prune(submap)
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
@@ -335,19 +340,28 @@ class Mapper:
         T_camera_map = se3.inverse(T_map_camera)
         return render_surface(self._backend, gaussians, camera, T_camera_map, options)
 
-    def _clear_free_space(self, submap: Submap, T_map_cameras: NDArray[np.float64]) -> None:
+    def _clear_free_space(
+        self, submap: Submap, T_map_cameras: NDArray[np.float64]
+    ) -> Tensor | None:
         """Remove Gaussians from space that all keyframes together measured as empty.
 
         Args:
             T_map_cameras: [P, 4, 4] poses of frames.
+
+        Returns:
+            The number [N] of the keyframes that measured a surface at each remaining Gaussian;
+            None if free space is not searched.
         """
-        if not self.options.free_space or not is_measured(submap.keyframes):
-            return
+        gaussians, keyframes = submap.gaussians, submap.keyframes
+        if not self.options.free_space or not is_measured(keyframes):
+            return None
         with self._recorder.timed(Stage.FREE_SPACE):
-            mask = contradicted_by_all(submap.gaussians, submap.keyframes, T_map_cameras)
+            evidence = evidence_of_all(gaussians, keyframes)
+            mask = contradicted_by_all(gaussians, evidence, keyframes[0].camera, T_map_cameras)
         _remove(submap, mask)
         if mask.any():
             _log.info("Removed %d Gaussians from empty space.", int(mask.sum()))
+        return evidence.support[~mask]
 
     def _optimise(self, submap: Submap, effort: Effort, poses: bool = False) -> float:
         """Optimise over the window of the newest keyframe; return the loss of the last step."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,12 +18,12 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import CandidateFinder
 from toolkit.loops.closing.closer import LoopCloser
-from toolkit.loops.closing.object_loops import ObjectHypothesis
+from toolkit.loops.closing.object_loops import ObjectHypotheses, ObjectHypothesis
 from toolkit.loops.closing.options import ClosingOptions, PairOptions
 from toolkit.loops.closing.pair_matching import PairMatcher, RoughMotion, VerifiedPair
 from toolkit.loops.closing.parts import ClosingParts
 from toolkit.loops.closing.submap_loops import SubmapLoops
-from toolkit.loops.constellations import ConstellationMatch
+from toolkit.loops.constellations import Constellation, ConstellationMatch
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog, read_loop_log
 from toolkit.loops.options import CandidateOptions
@@ -518,6 +519,18 @@ class TestState:
         assert bits(atlas) == bits(other_atlas)
         mine, theirs = closer.state(), other.state()
         assert all(np.array_equal(mine[0][k], theirs[0][k]) for k in mine[0])
+
+    def test_the_remembered_objects_are_part_of_it(self, frames):
+        _, closer, _ = closed(frames)
+        objects = ObjectHypotheses(SimpleNamespace(), 30)
+        closer._parts = replace(closer._parts, objects=objects)
+        one = Constellation(np.array([3]), np.ones((1, 3)), np.array([0.5]))
+        objects._known = {2: (7, one)}
+        state = closer.state()
+        objects._known = {}
+        closer.restore(*state)
+        size, found = objects._known[2]
+        assert size == 7 and all(np.array_equal(vars(one)[k], vars(found)[k]) for k in vars(one))
 
     def test_the_log_is_cut_back(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")

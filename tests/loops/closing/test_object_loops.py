@@ -95,3 +95,15 @@ def test_a_submap_is_read_again_only_if_it_has_grown(submaps):
     submaps.poses[1][120] = np.eye(4)
     known.of(submaps, 0, 1, [100])
     assert submaps.read == 3
+
+
+def test_a_resumed_run_compares_the_objects_that_an_uninterrupted_one_remembers(submaps):
+    known, resumed = hypotheses(), hypotheses()
+    expected = known.of(submaps, 0, 1, [100])
+    resumed.restore(known.state())
+    # Optimisation moves the Gaussians of a submap that gets no further keyframes.
+    submaps.clouds[0].means.add_(0.02 * torch.randn(submaps.clouds[0].means.shape))
+    found = resumed.of(submaps, 0, 1, [100])
+    assert submaps.read == 2
+    assert np.array_equal(found.edge.T_first_second, expected.edge.T_first_second)
+    assert found.match.error_m == expected.match.error_m

@@ -355,6 +355,9 @@ class LoopCloser:
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values for `restore`."""
         arrays = {f"detector/{name}": array for name, array in self._detector.state().items()}
+        if self._parts.objects is not None:
+            known = self._parts.objects.state()
+            arrays |= {f"objects/{name}": array for name, array in known.items()}
         ends = []
         for name, edges in self._edges().items():
             T = np.array([edge.T_first_second for edge in edges]).reshape(-1, 4, 4)
@@ -377,6 +380,8 @@ class LoopCloser:
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`, and truncate the log to its size at that time."""
         self._detector.restore(arrays_below(arrays, "detector/"))
+        if self._parts.objects is not None:
+            self._parts.objects.restore(arrays_below(arrays, "objects/"))
         restored = []
         for name, ends in zip(self._edges(), values["ends"], strict=True):
             make = PoseEdge.loop if name == "loops" else PoseEdge

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.io.arrays import arrays_below
 from toolkit.loops.constellations import (
     Constellation,
     ConstellationMatch,
@@ -80,6 +81,26 @@ class ObjectHypotheses:
         covariance = np.diag([_SIGMA_M**2] * 3 + [_SIGMA_RAD**2] * 3)
         edge = PoseEdge.loop(first, second, T, information_of(covariance))
         return ObjectHypothesis(edge, match, pairs) if pairs else None
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays for `restore`.
+
+        Remembered objects are part of it: Gaussians change without new keyframes, so that objects
+        computed again would differ.
+        """
+        arrays: dict[str, NDArray] = {}
+        for number, (size, known) in self._known.items():
+            values = {"keyframes": np.array(size), **vars(known)}
+            arrays |= {f"{number}/{name}": array for name, array in values.items()}
+        return arrays
+
+    def restore(self, arrays: dict[str, NDArray]) -> None:
+        """Restore an earlier `state`."""
+        self._known = {}
+        for number in {int(name.split("/")[0]) for name in arrays}:
+            values = arrays_below(arrays, f"{number}/")
+            size = int(values.pop("keyframes"))
+            self._known[number] = size, Constellation(**values)
 
     def _alike(
         self,
