@@ -29,12 +29,14 @@ class RoomOptions:
 
     Attributes:
         max_door_m: maximum width of a passage between two rooms, in metres.
+        min_door_m: passages narrower than this separate rooms, but are no doors: gaps of a wall.
         max_ratio: maximum width of a door relative to the width of the narrower room.
         min_area_m2: minimum area of a room in square metres; smaller ones join a neighbour.
     """
 
     max_door_m: float = 1.4
-    max_ratio: float = 0.8
+    min_door_m: float = 0.4
+    max_ratio: float = 0.75
     min_area_m2: float = 1.5
 
 
@@ -255,7 +257,7 @@ class _Flood:
         new = {basin: number for number, basin in enumerate(self._rooms())}
         found = []
         for pair, (height, cell) in sorted(self._doors.items(), key=lambda item: -item[1][0]):
-            if all(k in new for k in pair):
+            if all(k in new for k in pair) and 2.0 * height >= self._options.min_door_m:
                 a, b = sorted(new[k] for k in pair)
                 row, column = divmod(cell, self._width)
                 found.append(((a, b), (row - 1, column - 1), 2.0 * height))
