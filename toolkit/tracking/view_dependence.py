@@ -24,9 +24,10 @@ Mask = NDArray[np.bool_]
 
 # About the number of columns of pixels that are compared.
 _SAMPLES = 80
-# Noise of an intensity (0-1), and displacement in pixels of texture: of poses, and of views that
-# show it at different resolutions. Only their ratio matters, since residuals are normalised.
-_NOISE, _DISPLACEMENT = 0.005, 0.2
+# Noise of an intensity (0-1), and difference of texture that is displaced or shown at another
+# resolution, as a fraction of the local contrast. Only their ratio matters, since residuals are
+# normalised. Gradients would miss texture one pixel wide: 7 % of a matt room would be masked.
+_NOISE, _OF_CONTRAST = 0.005, 0.1
 # Maximum difference of the depths of a surface in two keyframes, as a fraction of depth, and
 # maximum ratio of the distances from which they see it.
 _SAME_SURFACE, _MAX_ZOOM = 0.03, 1.6
@@ -131,18 +132,21 @@ def _compared(new: AlignedView, other: AlignedView, step: int) -> _Compared:
     pixels = np.where(same, row * camera.width + column, -1)
     if same.sum() < _MIN_PIXELS:
         return _Compared(nothing, nothing, pixels)
-    slope = np.maximum(
-        np.abs(new.model.texture.numpy()[::step, ::step, 1:3]).sum(axis=-1),
-        np.abs(other.model.texture.numpy()[row, column, 1:3]).sum(axis=-1),
-    )
+    contrast = np.maximum(_contrast(new.frame)[::step, ::step], _contrast(other.frame)[row, column])
     residual = shown - own
     residual -= np.median(residual[same])
-    squares = residual**2 / (_NOISE**2 + (_DISPLACEMENT * slope) ** 2)
+    squares = residual**2 / (_NOISE**2 + (_OF_CONTRAST * contrast) ** 2)
     # The median square of normally distributed residuals is 0.455 of their variance.
     usual = max(float(np.median(squares[same])) / 0.455, 1.0)
     angle = _angles(points, T_other_new[:3, 3])
     evidence = np.where(same, np.minimum(angle / _FULL_ANGLE, 1.0), 0.0)
     return _Compared((squares / usual).astype(np.float32), evidence.astype(np.float32), pixels)
+
+
+def _contrast(level: FrameLevel) -> NDArray[np.float32]:
+    """Range [H, W] of the intensities of each pixel and its neighbours."""
+    intensity, around = level.intensity.numpy(), np.ones((3, 3), np.uint8)
+    return np.asarray(cv2.dilate(intensity, around) - cv2.erode(intensity, around))
 
 
 def _angles(points: Array, centre: Array) -> Array:
