@@ -24,6 +24,7 @@ from toolkit.caching import LruCache
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe, evenly_spaced, fractions_observed
 from toolkit.tracking.options import PlacementOptions
+from toolkit.tracking.view_dependence import AlignedView, view_dependent, without_gradient
 
 Array = NDArray[np.float64]
 
@@ -73,10 +74,10 @@ class KeyframePlacement:
         chosen = self._chosen(keyframes, new)
         if not chosen:
             return new.T_map_camera
-        frame = self._levels(new).frame
+        frame, models = self._levels(new).frame, self._models(chosen, new)
         pairs = [
-            Pair(self._levels(k).model, frame, se3.inverse(k.T_map_camera), np.eye(4))
-            for k in chosen
+            Pair(model, frame, se3.inverse(k.T_map_camera), np.eye(4))
+            for k, model in zip(chosen, models, strict=True)
         ]
         found = align(pairs, Estimate(new.T_map_camera), _DENSE)
         moved = se3.inverse(new.T_map_camera) @ found.T_target_source
@@ -91,6 +92,21 @@ class KeyframePlacement:
         recent = _observing(keyframes[first_recent:], points, _MIN_RECENT)
         older = _observing(keyframes[:first_recent:_EVERY], points, _MIN_OLDER)
         return [*evenly_spaced(older, _OLDER), *recent]
+
+    def _models(self, chosen: Sequence[Keyframe], new: Keyframe) -> list[list[ModelLevel]]:
+        """Pyramids of earlier keyframes; view-dependent surfaces may lack texture."""
+        models = [self._levels(k).model for k in chosen]
+        if not self.options.ignore_reflections:
+            return models
+        masks = view_dependent(self._coarse_view(new), [self._coarse_view(k) for k in chosen])
+        return [
+            model if mask is None else [without_gradient(level, mask) for level in model]
+            for model, mask in zip(models, masks, strict=True)
+        ]
+
+    def _coarse_view(self, keyframe: Keyframe) -> AlignedView:
+        levels = self._levels(keyframe)
+        return AlignedView(keyframe.T_map_camera, levels.frame[-1], levels.model[-1])
 
     def _levels(self, keyframe: Keyframe) -> _Levels:
         key = (keyframe.index, keyframe.exposure)
