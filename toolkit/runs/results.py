@@ -35,6 +35,7 @@ from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.atomic import write_bytes
+from toolkit.io.graphs import graph_bytes
 from toolkit.io.images import write_rgb
 from toolkit.io.length_names import LengthNames
 from toolkit.io.visualisation import view_strip
@@ -122,7 +123,9 @@ def write_results(
     if result.instances is not None:
         write_instances(result.instances, folder, result.taxonomy)
     if result.scene_graph is not None:
-        folder.write_json(folder.scene_graph, result.scene_graph)
+        for suffix in (".json", ".jsonld", ".graphml"):
+            graph = graph_bytes(result.scene_graph, suffix)
+            write_bytes(folder.scene_graph.with_suffix(suffix), graph)
     write_separate_parts(result, folder, settings)
     states, parts = frame_states(result), part_summaries(result)
     summary = [*record.findings, *summary_lines(states, parts)]
