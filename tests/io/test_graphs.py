@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ET
 
-from toolkit.io.graphs import graphml_bytes, json_ld
+from toolkit.io.graphs import graph_bytes, graphml_bytes, json_ld
 
 CONTENT = {
     "graph": {"metric": True, "up": [0.0, 0.0, 1.0]},
@@ -42,3 +42,12 @@ def test_json_ld_links_nodes_by_relations():
     # Nested values cannot be lists of JSON-LD.
     assert content["@context"]["doors"]["@type"] == "@json"
     assert content["@context"]["up"]["@container"] == "@list"
+
+
+def test_the_suffix_selects_the_format_and_any_name_can_be_written():
+    node_link = json.loads(graph_bytes(CONTENT, ".json"))
+    assert node_link["nodes"][0]["name"] == "</node><script>\x1b[31m&?"
+    assert node_link["edges"] == CONTENT["edges"]
+    linked = json.loads(graph_bytes(CONTENT, ".jsonld"))
+    assert linked["nodes"][1]["connectedTo"] == ["node/1"]
+    assert graph_bytes(CONTENT, ".graphml") == graphml_bytes(CONTENT)

@@ -5,7 +5,6 @@ JSON is in the node-link format of NetworkX; JSON-LD and GraphML contain the sam
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.atomic import write_bytes
-from toolkit.io.graphs import graphml_bytes, json_ld
+from toolkit.io.graphs import graph_bytes
 
 
 @dataclass(frozen=True)
@@ -43,12 +42,7 @@ def export_scene_graph(
         ToolkitError: the map has no labels, no floor was found, or the file cannot be written.
     """
     graph = scene_graph(map_scene(selection, options, floor, grid))
-    if path.suffix.lower() == ".graphml":
-        write_bytes(path, graphml_bytes(graph.content))
-        return graph
-    content = json_ld(graph.content) if path.suffix.lower() == ".jsonld" else graph.content
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    write_bytes(path, (text + "\n").encode())
+    write_bytes(path, graph_bytes(graph.content, path.suffix.lower()))
     return graph
 
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import takewhile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry import se3
-from toolkit.geometry.voxels import voxel_keys, voxels_of
 from toolkit.growing_scene.live_relations import LiveRelations
-from toolkit.growing_scene.objects import GrowingObject
+from toolkit.growing_scene.objects import GrowingObject, thinned
 from toolkit.growing_scene.rooms import ViewFan, fan_of
 from toolkit.growing_scene.segments import (
     Segments,
@@ -22,6 +19,7 @@ from toolkit.growing_scene.segments import (
     voxels_of_segments,
 )
 from toolkit.growing_scene.snapshot import Snapshot, snapshot_content
+from toolkit.growing_scene.twins import MIN_SHARED, Twins
 from toolkit.instances.tracking import InstanceTracker
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
@@ -34,13 +32,10 @@ from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.atlas import Atlas
 
 Array = NDArray[np.float64]
-Keys = NDArray[np.int64]
 
-# A segment belongs to an object of its class that shares this share of the smaller one's voxels,
-# and this many; smaller segments start no object.
-_SHARED, _MIN_SHARED, _MIN_VOXELS = 0.1, 2, 4
-# Objects of two submaps are one if they share this share of the smaller one's voxels of this edge.
-_SAME_SHARE, _SAME_EDGES = 0.3, 2.0
+# A segment belongs to an object of its class that shares this share of the smaller one's voxels;
+# smaller segments start no object.
+_SHARED, _MIN_VOXELS = 0.1, 4
 # Edge of the voxels that represent objects, in metres.
 VOXEL_M = 0.05
 # Factor of the edge of voxels of walls, floors and openings, which are large.
@@ -53,6 +48,8 @@ _OBJECTS_PER_KEYFRAME = 2
 _GROWN = 0.25
 # The floor is fitted again when its number of voxels has grown by this factor.
 _FLOOR_GROWTH, _FLOOR_POINTS, _MIN_FLOOR = 1.5, 400, 40
+# Number of cameras that determine which side of the floor is up, and which one panels face.
+_MAX_CAMERAS = 100
 # Bodies are not computed again if the floor has moved by less (radians and metres).
 _TILT, _SHIFT_M = 0.01, 0.02
 # Poses of submaps that differ by less have not been corrected.
@@ -84,16 +81,17 @@ class GrowingScene:
         }
         self._colours = colour_table()
         self.objects: dict[int, GrowingObject] = {}
+        self._twins = Twins(self.objects, VOXEL_M)
         contact_m = RelationOptions.contact_m + VOXEL_M
         self._live = LiveRelations(self._points, RelationOptions(contact_m))
         self._poses: dict[int, Array] = {}
         self._fans: list[ViewFan] = []
+        self._cameras: list[Array] = []  # positions of the first fans, until a pose changes
         self._seen: set[tuple[int, int]] = set()
         self._compared: dict[int, int] = {}
         self._young: dict[int, int] = {}
         self._ground: Ground | None = None
         self._floor_size, self._next = 0, 1
-        self._coarse: dict[tuple[int, int], tuple[int, Keys]] = {}  # with the pixels at that time
 
     def update(self, atlas: Atlas, metres_per_unit: float = 1.0) -> None:
         """Add the newest keyframes of the active submap, and follow corrections of poses.
@@ -121,7 +119,8 @@ class GrowingScene:
         self._follow(atlas, metres_per_unit)
         self._merge_instances()
         if self._instances is None:
-            self._join()
+            for kept, gone in self._twins.pairs(self._poses):
+                self._absorb(kept, gone)
         self._floor_size = 0
         self._fit_floor()
         self._live.all_changed()
@@ -178,7 +177,7 @@ class GrowingScene:
         is_new = submap not in one.fragments
         one.see(index, submap, found, self._confidence(number))
         if is_new and self._instances is None and len(self._poses) > 1:
-            other = self._twin(number, submap, self._world_keys(number, submap))
+            other = self._twins.of(number, submap, self._poses)
             if other:
                 self._absorb(other, number)
                 return
@@ -222,7 +221,7 @@ class GrowingScene:
             part = one.fragments[submap]
             shared = part.overlap(found.keys)
             least = _SHARED * min(len(found.keys), len(part.keys))
-            if shared >= max(_MIN_SHARED, least):
+            if shared >= max(MIN_SHARED, least):
                 owners.append(number)
         for other in owners[1:]:
             self._absorb(owners[0], other)
@@ -259,52 +258,6 @@ class GrowingScene:
                 self.objects[kept] = GrowingObject(kept, one.class_id, one.first, one.last)
             self._absorb(kept, number)
 
-    def _join(self) -> None:
-        """Join objects of one class whose surfaces coincide or touch."""
-        for number in sorted(self.objects):
-            while number in self.objects:
-                keys = {s: self._world_keys(number, s) for s in self.objects[number].fragments}
-                twins = (self._twin(number, s, own, touching=True) for s, own in keys.items())
-                other = next((n for n in twins if n), 0)
-                if not other:
-                    break
-                self._absorb(min(number, other), max(number, other))
-
-    def _twin(self, number: int, submap: int, keys: Keys, touching: bool = False) -> int:
-        """The object of the same class in other submaps that shares enough voxels; 0 for none.
-
-        Args:
-            number: of the object.
-            submap: of the voxels.
-            keys: ascending numbers of coarse voxels in the world.
-            touching: pieces in the same submap count as well; they touch if they share voxels.
-        """
-        class_id = self.objects[number].class_id
-        for other, one in self.objects.items():
-            if other == number or one.class_id != class_id:
-                continue
-            for elsewhere in one.fragments:
-                same = elsewhere == submap
-                if same and not touching:
-                    continue
-                theirs = self._world_keys(other, elsewhere)
-                shared = len(np.intersect1d(keys, theirs, assume_unique=True))
-                least = 0.0 if same else _SAME_SHARE * min(len(keys), len(theirs))
-                if shared >= max(_MIN_SHARED, least):
-                    return other
-        return 0
-
-    def _world_keys(self, number: int, submap: int) -> Keys:
-        """Numbers of the coarse voxels of an object's surface in a submap, in the world."""
-        part = self.objects[number].fragments[submap]
-        known, pixels = self._coarse.get((number, submap)), part.pixels
-        if known is None or known[0] != pixels:
-            points = se3.transform_points(self._poses[submap], part.points_m(1))
-            edge_m = _SAME_EDGES * VOXEL_M
-            known = pixels, np.unique(voxel_keys(voxels_of(points, edge_m)))
-            self._coarse[number, submap] = known
-        return known[1]
-
     def _follow(self, atlas: Atlas, metres_per_unit: float) -> None:
         """Take over the poses of submaps; all relations are computed again if one was corrected."""
         moved = False
@@ -313,9 +266,11 @@ class GrowingScene:
             T[:3, 3] *= metres_per_unit
             before = self._poses.get(number)
             moved |= before is not None and bool(np.abs(T - before).max() > _MOVED)
+            if before is None or not np.array_equal(T, before):
+                self._cameras.clear()
             self._poses[number] = T
         if moved:
-            self._coarse.clear()
+            self._twins.moved()
             self._live.all_changed()
 
     def _fit_floor(self) -> None:
@@ -325,7 +280,7 @@ class GrowingScene:
         if not self._fans or size < max(_MIN_FLOOR, _FLOOR_GROWTH * self._floor_size):
             return
         self._floor_size = size
-        points = [_thinned(self._points(n), _FLOOR_POINTS) for n in floors]
+        points = [thinned(self._points(n), _FLOOR_POINTS) for n in floors]
         found = Ground.below(np.concatenate(points), self._cameras_m())
         if found is None:
             return
@@ -342,7 +297,9 @@ class GrowingScene:
     def _cameras_m(self) -> Array:
         if not self._fans:
             return np.zeros((0, 3))
-        return np.stack([fan.camera_m(self._poses) for fan in _thinned_list(self._fans)])
+        for fan in self._fans[len(self._cameras) :]:
+            self._cameras.append(fan.camera_m(self._poses))
+        return np.stack(thinned(self._cameras, _MAX_CAMERAS))
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
@@ -371,7 +328,9 @@ class GrowingScene:
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
-        self.objects = {
+        self.objects.clear()
+        self._cameras.clear()
+        self.objects |= {
             int(one["number"]): GrowingObject.from_state(
                 arrays_below(arrays, f"objects/{one['number']}/"), one
             )
@@ -395,11 +354,3 @@ class GrowingScene:
 def _same(one: Ground, other: Ground) -> bool:
     tilt = float(np.linalg.norm(one.up - other.up))
     return tilt <= _TILT and abs(one.height_m - other.height_m) <= _SHIFT_M
-
-
-def _thinned(points: Array, count: int) -> Array:
-    return points[:: max(1, len(points) // count)]
-
-
-def _thinned_list(fans: Sequence[ViewFan], count: int = 100) -> Sequence[ViewFan]:
-    return fans[:: max(1, len(fans) // count)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,15 @@ from toolkit.semantics.colour_names import COLOUR_NAMES
 
 Array = NDArray[np.float64]
 Keys = NDArray[np.int64]
+Rows = TypeVar("Rows", Array, list[Array])
 
 # Voxels that one keyframe saw are noise in objects that this number of keyframes has seen.
 _SETTLED_VIEWS = 4
+
+
+def thinned(rows: Rows, count: int) -> Rows:
+    """Return about `count` evenly spaced rows, or all if there are fewer."""
+    return rows[:: max(1, len(rows) // count)]
 
 
 @dataclass

@@ -11,5 +11,5 @@ class GrowingSceneOptions:
 
     graph: bool = False
     """Keep objects, their relations, rooms and storeys up to date with every keyframe, and write
-    them to scene_graph.json. Objects are those of --instances if they are on, else connected
-    surfaces of one class."""
+    them to scene_graph.json, .jsonld and .graphml. Objects are those of --instances if they are
+    on, else connected surfaces of one class."""

@@ -129,22 +129,24 @@ def voxels_of_segments(
     local = keyframe.camera.unproject(keyframe.depth_m.numpy(), step).reshape(-1, 3)[chosen]
     points = se3.transform_points(keyframe.T_map_camera, local) * metres_per_unit
     owner = segments.ids.reshape(-1)[chosen].astype(np.int64)
-    order = np.argsort(owner, kind="stable")
-    owner, points, chosen = owner[order], points[order], chosen[order]
-    rgb = sampled(keyframe.rgb.numpy(), step).reshape(3, -1)[:, chosen] >> 3
-    names = colours[rgb[0], rgb[1], rgb[2]].astype(np.int64)
     keys = voxel_keys(np.floor(points / voxels_m[owner - 1, None]).astype(np.int64))
-    sums = np.column_stack([points, np.ones((len(points), 2))])
-    starts = np.flatnonzero(np.append(True, np.diff(owner) != 0))
+    order = np.lexsort((keys, owner))
+    owner, keys = owner[order], keys[order]
+    rgb = sampled(keyframe.rgb.numpy(), step).reshape(3, -1)[:, chosen] >> 3
+    names = colours[rgb[0], rgb[1], rgb[2]].astype(np.int64)[order]
+    kinds = len(COLOUR_NAMES)
+    histograms = np.bincount(owner * kinds + names, minlength=(len(voxels_m) + 1) * kinds)
+    histograms = histograms.reshape(-1, kinds)
+    first = np.flatnonzero((np.diff(owner, prepend=0) != 0) | (np.diff(keys, prepend=0) != 0))
+    sums = np.column_stack([points, np.ones((len(points), 2))])[order]
+    totals = np.add.reduceat(sums, first, axis=0)
+    totals[:, 4] = 1.0
+    owner, keys = owner[first], keys[first]
+    starts = np.flatnonzero(np.diff(owner, prepend=0))
     found = {}
     for a, b in zip(starts, np.append(starts[1:], len(owner)), strict=True):
-        inner = np.argsort(keys[a:b], kind="stable")
-        ordered = keys[a:b][inner]
-        first = np.flatnonzero(np.append(True, np.diff(ordered) != 0))
-        totals = np.add.reduceat(sums[a:b][inner], first, axis=0)
-        totals[:, 4] = 1.0
-        histogram = np.bincount(names[a:b], minlength=len(COLOUR_NAMES))
-        found[int(owner[a])] = SegmentVoxels(ordered[first], totals, histogram)
+        number = int(owner[a])
+        found[number] = SegmentVoxels(keys[a:b], totals[a:b], histograms[number])
     return found
 
 

@@ -15,6 +15,18 @@ _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 _TYPES = {bool: "boolean", int: "long", float: "double"}
 
 
+def graph_bytes(content: dict[str, Any], suffix: str) -> bytes:
+    """Return a graph as a file: .graphml, .jsonld, else JSON in node-link format.
+
+    Characters that UTF-8 lacks are "?".
+    """
+    if suffix == ".graphml":
+        return graphml_bytes(content)
+    values = json_ld(content) if suffix == ".jsonld" else content
+    text = json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False)
+    return (text + "\n").encode(errors="replace")
+
+
 def json_ld(content: dict[str, Any]) -> dict[str, Any]:
     """Return a graph as a JSON-LD 1.1 document.
 

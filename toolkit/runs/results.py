@@ -35,6 +35,7 @@ from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.atomic import write_bytes
+from toolkit.io.graphs import graph_bytes
 from toolkit.io.images import write_rgb
 from toolkit.io.length_names import LengthNames
 from toolkit.io.visualisation import view_strip
@@ -122,7 +123,7 @@ def write_results(
     if result.instances is not None:
         write_instances(result.instances, folder, result.taxonomy)
     if result.scene_graph is not None:
-        folder.write_json(folder.scene_graph, result.scene_graph)
+        _write_scene_graph(folder, result.scene_graph)
     write_separate_parts(result, folder, settings)
     states, parts = frame_states(result), part_summaries(result)
     summary = [*record.findings, *summary_lines(states, parts)]
@@ -171,6 +172,11 @@ def write_results(
     for line in summary:
         _log.warning("%s", line)
     _log.info("Wrote the results to %s; see report.html there.", folder.path)
+
+
+def _write_scene_graph(folder: RunFolder, content: dict[str, Any]) -> None:
+    for suffix in (".json", ".jsonld", ".graphml"):
+        write_bytes(folder.scene_graph.with_suffix(suffix), graph_bytes(content, suffix))
 
 
 def _is_metric(record: RunRecord) -> bool:

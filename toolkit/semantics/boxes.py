@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -51,7 +52,7 @@ class Ground:
     up: Array
     height_m: float
 
-    @property
+    @cached_property
     def axes(self) -> Array:
         """Right-handed axes [3, 3] as columns; the third is up."""
         # Start from the most horizontal axis of the map, to rotate as little as possible.
