@@ -26,6 +26,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "room-real": ("--real",),
     "room-small": ("--frames", "200", *_SMALL),
     "room-glossy": ("--frames", "200", *_SMALL, "--glossy"),
+    "room-polished": ("--frames", "200", *_SMALL, "--glossy", "--polish", "0.3"),
     "room-weak": ("--texture", "weak"),
     "room-narrow": ("--fov-deg", "30"),
     "ring": (*_RING, "--sensor-noise"),

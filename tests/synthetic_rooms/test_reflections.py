@@ -16,7 +16,7 @@ from toolkit.errors import SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.synthetic_rooms import RoomSettings, SensorModel, finishes, make_room
 from toolkit.synthetic_rooms import textures as tx
-from toolkit.synthetic_rooms.finishes import Finish, coated, reflectance
+from toolkit.synthetic_rooms.finishes import LACQUER_REFLECTANCE, Finish, coated, reflectance
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.patches import box, plate
 from toolkit.synthetic_rooms.paths import look_at
@@ -51,7 +51,9 @@ def front(finish: Finish) -> Part:
 
 
 def in_front_of_glass(finish: Finish, glossy: bool = True) -> RayCastView:
-    scene = Scene([*furniture(), front(finish)], LAMPS_M, 0.01, IDS, glossy)
+    scene = Scene(
+        [*furniture(), front(finish)], LAMPS_M, 0.01, IDS, LACQUER_REFLECTANCE if glossy else None
+    )
     return scene.render(CAMERA, look_at(EYE, TARGET))
 
 
@@ -108,13 +110,15 @@ def test_a_matt_surface_of_a_glossy_scene_reflects_nothing():
     assert not view.reflection.finish.any() and not view.reflection.image_m.any()
 
 
-@pytest.mark.parametrize("finish", [Finish.LACQUER, Finish.SCREEN, Finish.MIRROR])
-def test_reflectance_grows_from_the_front_to_grazing_angles(finish):
+@pytest.mark.parametrize(
+    ("finish", "from_above"), [(Finish.LACQUER, 0.3), (Finish.SCREEN, 0.04), (Finish.MIRROR, 0.92)]
+)
+def test_reflectance_grows_from_the_front_to_grazing_angles(finish, from_above):
     cosine = np.linspace(0.0, 1.0, 50, dtype=np.float32)
-    share = reflectance(np.full(50, finish, np.uint8), cosine)
+    share = reflectance(np.full(50, finish, np.uint8), cosine, lacquer=0.3)
     assert (np.diff(share) <= 0).all() and share[0] == 1.0
     # A dielectric reflects twice its normal reflectance at 60 degrees or a little more.
-    assert share[-1] == pytest.approx(finishes._REFLECTANCE[finish])
+    assert share[-1] == pytest.approx(from_above)
     assert not reflectance(np.zeros(50, np.uint8), cosine).any()
 
 
@@ -207,7 +211,8 @@ def test_only_glossy_rooms_have_the_class_mirror(folders):
     assert open_dataset("synthetic", folders["glossy"]).label_names[102] == "mirror"
     assert 102 not in open_dataset("synthetic", folders["matt"]).label_names
     settings = {n: json.loads((folder / "room.json").read_text()) for n, folder in folders.items()}
-    assert settings["glossy"] == {**settings["matt"], "glossy": True}
+    more = {"glossy": True, "polish": LACQUER_REFLECTANCE}
+    assert settings["glossy"] == {**settings["matt"], **more}
     assert not (folders["matt"] / "surface").exists()
 
 
@@ -215,10 +220,12 @@ def test_only_glossy_rooms_have_the_class_mirror(folders):
     ("values", "message"),
     [
         ({"walker": True}, "glossy cannot be combined with walker or real"),
+        ({"polish": 1.0}, r"polish must lie in \(0, 1\), got 1.0"),
+        ({"glossy": False, "polish": 0.3}, "polish requires glossy"),
         ({"sensor": SensorModel.of(noise=False, real=True), "walker": True}, "walker or real"),
         ({"classes": 30}, "glossy cannot be combined with classes"),
     ],
 )
 def test_what_has_no_reflection_is_refused(values, message):
     with pytest.raises(SettingsError, match=message):
-        RoomSettings(glossy=True, **values)
+        RoomSettings(**{"glossy": True, **values})

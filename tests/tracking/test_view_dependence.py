@@ -15,13 +15,16 @@ PATH_M = (0.0, 0.25, 0.5, -0.25)
 DEPTH_M = 2.0
 
 
-def wall(x_m: float, gloss: float, gain: float = 1.0) -> AlignedView:
-    """A textured wall, seen from the side; its left half reflects stripes far behind it."""
+EDGE_M = -0.2
+
+
+def wall(x_m: float, gloss: float, gain: float = 1.0, edge_m: float = EDGE_M) -> AlignedView:
+    """A textured wall, seen from the side; its left part reflects stripes far behind it."""
     rays = CAMERA.rays()
     on_wall = rays[..., :2] * DEPTH_M + np.array([x_m, 0.0])
     behind = rays[..., 0] * 3.0 * DEPTH_M + x_m
     texture = 0.4 + 0.1 * np.sin(9.0 * on_wall[..., 0]) * np.sin(7.0 * on_wall[..., 1])
-    reflected = gloss * np.sin(4.0 * behind) * (on_wall[..., 0] < 0.0)
+    reflected = gloss * np.sin(4.0 * behind) * (on_wall[..., 0] < edge_m)
     noise = np.random.default_rng(int(100 * x_m) + 50).normal(0.0, 0.005, texture.shape)
     intensity = torch.from_numpy((gain * (texture + reflected) + noise).astype(np.float32))
     level = FrameLevel(CAMERA, intensity, torch.full((60, 80), DEPTH_M))
@@ -40,8 +43,13 @@ def test_a_reflection_is_found_where_it_is() -> None:
     for x_m, mask in zip(PATH_M[1:], masks(gloss=0.1), strict=True):
         on_wall = CAMERA.rays()[..., 0] * DEPTH_M + x_m
         shown = np.abs(on_wall) < 0.9  # by the new view as well
-        assert mask[shown & (on_wall < -0.1)].mean() > 0.6
-        assert mask[shown & (on_wall > 0.1)].mean() < 0.05
+        assert mask[shown & (on_wall < EDGE_M - 0.1)].mean() > 0.6
+        assert mask[shown & (on_wall > EDGE_M + 0.1)].mean() < 0.05
+
+
+def test_a_view_that_contradicts_nearly_everywhere_is_kept_whole() -> None:
+    new, *others = [wall(x, gloss=0.1, edge_m=0.9) for x in PATH_M]
+    assert view_dependent(new, others) == [None] * len(others)
 
 
 def test_texture_and_exposure_do_not_depend_on_the_view() -> None:

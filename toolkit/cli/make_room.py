@@ -36,6 +36,7 @@ def main(options: MakeRoomOptions) -> int:
         fov_deg=options.fov_deg,
         classes=options.classes,
         glossy=options.glossy,
+        polish=options.polish,
     )
     make_room(options.out, settings, with_progress)
     if settings.collection is not None:

@@ -278,6 +278,9 @@ class MakeRoomOptions:
     and on the wardrobe. Depth is what a sensor measures: that of the mirror image on mirrors, and
     none on screens at most angles; true depth is in the folder surface. Excludes --walker, --real
     and --classes."""
+    polish: Annotated[float, Range(gt=0, lt=1)] = 0.07
+    """With --glossy, the fraction of the light that the floor reflects where it is seen from above;
+    more at grazing angles."""
     texture: Literal["normal", "weak"] = "normal"
     """Texture of all surfaces. Weak ones keep a tenth of their contrast, so that images show little
     but the edges and shadows of objects."""

@@ -25,18 +25,24 @@ class Finish(IntEnum):
 
 
 # Reflectance at normal incidence: the dielectrics have refractive indices of 1.7 and 1.5.
+LACQUER_REFLECTANCE = 0.07
 _REFLECTANCE = np.zeros(len(Finish), dtype=np.float32)
-_REFLECTANCE[[Finish.LACQUER, Finish.SCREEN, Finish.MIRROR]] = 0.07, 0.04, 0.92
+_REFLECTANCE[[Finish.SCREEN, Finish.MIRROR]] = 0.04, 0.92
 
 
-def reflectance(finish: NDArray[np.uint8], cosine: NDArray[np.float32]) -> NDArray[np.float32]:
+def reflectance(
+    finish: NDArray[np.uint8],
+    cosine: NDArray[np.float32],
+    lacquer: float = LACQUER_REFLECTANCE,
+) -> NDArray[np.float32]:
     """Fraction [N] of the light that surfaces reflect as a mirror (Schlick's approximation).
 
     Args:
         finish: [N] values of `Finish`.
         cosine: [N] cosine of the angle between ray and normal, in [0, 1].
+        lacquer: reflectance of lacquered surfaces at normal incidence.
     """
-    normal = _REFLECTANCE[finish]
+    normal = np.where(finish == Finish.LACQUER, np.float32(lacquer), _REFLECTANCE[finish])
     grazing = (1.0 - np.clip(cosine, 0.0, 1.0)) ** 5
     return np.where(normal > 0, normal + (1.0 - normal) * grazing, 0.0).astype(np.float32)
 

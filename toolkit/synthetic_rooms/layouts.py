@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.synthetic_rooms.collection import shelves_of_objects
+from toolkit.synthetic_rooms.finishes import LACQUER_REFLECTANCE
 from toolkit.synthetic_rooms.furnishing import furnish, path_reach_m
 from toolkit.synthetic_rooms.furniture import Workshop
 from toolkit.synthetic_rooms.parts import Part, moved
@@ -307,10 +308,12 @@ class Look:
     Attributes:
         texture: a key of TEXTURES.
         glossy: floors, screens and mirrors reflect the scene; only in furnished rooms.
+        polish: reflectance of the lacquered floors at normal incidence.
     """
 
     texture: str = "normal"
     glossy: bool = False
+    polish: float = LACQUER_REFLECTANCE
 
 
 def build_scene(
@@ -345,7 +348,8 @@ def build_scene(
         own, others = lamp_places((first,)), lamp_places(layout.rooms[1:])
         lamps_m = np.concatenate([layout.revisit.lamps_m(first, own), others])
     names = collection or (GLOSSY_CLASS_NAMES if look.glossy else CLASS_NAMES)
-    return Scene(parts, lamps_m, texel_m, numbered(names), look.glossy)
+    polish = look.polish if look.glossy else None
+    return Scene(parts, lamps_m, texel_m, numbered(names), polish)
 
 
 # The fraction of each texture's contrast that is kept.

@@ -58,8 +58,9 @@ class Scene:
         lamps_m: [L, 3] ceiling lamps, metres.
         texel_m: edge of a texture element, metres.
         class_ids: class ids by name.
-        glossy: the finish of each part reflects the scene; by default, all surfaces are matt. What
-            a reflection shows is matt, so mirrors do not show reflections in other mirrors.
+        polish: reflectance of lacquered surfaces at normal incidence, in a glossy scene, where each
+            part reflects as its finish does; by default, all surfaces are matt. What a reflection
+            shows is matt, so mirrors do not show reflections in other mirrors.
     """
 
     def __init__(
@@ -68,7 +69,7 @@ class Scene:
         lamps_m: NDArray[np.float64],
         texel_m: float,
         class_ids: Mapping[str, int] = CLASS_IDS,
-        glossy: bool = False,
+        polish: float | None = None,
     ) -> None:
         patches = [patch for part in parts for patch in part.patches]
         owners = [part for part in parts for _ in part.patches]
@@ -87,7 +88,8 @@ class Scene:
             np.array([part.object_id for part in owners], dtype=np.int32), sizes
         )
         self._triangle_finish: NDArray[np.uint8] | None = None
-        if glossy:
+        self._polish = polish
+        if polish is not None:
             self._triangle_finish = np.repeat(
                 np.array([part.finish for part in owners], dtype=np.uint8), sizes
             )
@@ -157,10 +159,10 @@ class Scene:
         fine = camera.scaled(samples, samples, camera.width * samples, camera.height * samples)
         hits = self._cast(fine, T_world_camera)
         colour = self._matt_colour(hits, fine.focal)
-        if self._triangle_finish is not None:
+        if self._triangle_finish is not None and self._polish is not None:
             finish = self._finish(hits)
             places, mirrored = self._reflected(hits, finish)
-            share = reflectance(finish[places], hits.cosine[places])
+            share = reflectance(finish[places], hits.cosine[places], self._polish)
             shown = self._matt_colour(mirrored, fine.focal)
             colour[places] = coated(colour[places], shown, share)
         image = colour.reshape(fine.height, fine.width, 3)

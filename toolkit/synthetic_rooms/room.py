@@ -18,6 +18,7 @@ from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.synthetic_rooms import collection, writer
+from toolkit.synthetic_rooms.finishes import LACQUER_REFLECTANCE
 from toolkit.synthetic_rooms.layouts import LAYOUTS, TEXTURES, Layout, Look, build_scene
 from toolkit.synthetic_rooms.paths import hand_held_path
 from toolkit.synthetic_rooms.ray_casting import RayCastView, Scene
@@ -65,6 +66,7 @@ class RoomSettings:
             furnished room with the classes of Replica.
         glossy: floors are lacquered, screens are off, and the largest picture of each room and the
             doors of its wardrobe are mirrors; neither with a walker nor with classes.
+        polish: reflectance of the lacquered floors seen from above, in (0, 1).
     """
 
     layout: str = "room"
@@ -80,6 +82,7 @@ class RoomSettings:
     fov_deg: float | None = None
     classes: int | None = None
     glossy: bool = False
+    polish: float = LACQUER_REFLECTANCE
 
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
@@ -102,8 +105,12 @@ class RoomSettings:
             raise SettingsError(f"fov_deg must lie in [10, 120], got {self.fov_deg}")
         if self.classes is not None:
             self._check_classes(self.classes)
+        if not 0.0 < self.polish < 1.0:
+            raise SettingsError(f"polish must lie in (0, 1), got {self.polish}")
         if self.glossy:
             self._check_glossy()
+        elif self.polish != LACQUER_REFLECTANCE:
+            raise SettingsError("polish requires glossy")
 
     def _check_classes(self, classes: int) -> None:
         low, high = collection.MIN_CLASSES, collection.MAX_CLASSES
@@ -145,7 +152,7 @@ class RoomSettings:
         """Values for the room's file of settings; those of rooms without gloss do not name it."""
         values = asdict(self)
         if not self.glossy:
-            del values["glossy"]
+            del values["glossy"], values["polish"]
         return values
 
     def stream(self, purpose: int) -> np.random.Generator:
@@ -207,7 +214,7 @@ def room_scene(settings: RoomSettings, later: bool = False) -> Scene:
         settings: settings of the room; the size of its images sets the resolution of textures.
         later: return the scene of the second half of the path.
     """
-    look = Look(settings.texture, settings.glossy)
+    look = Look(settings.texture, settings.glossy, settings.polish)
     layout, texel_m = LAYOUTS[settings.layout](), _texel_m(settings)
     return build_scene(layout, settings.seed, texel_m, look, settings.collection, later=later)
 

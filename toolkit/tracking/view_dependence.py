@@ -36,6 +36,9 @@ _SAME_SURFACE, _MAX_ZOOM = 0.03, 1.6
 _FULL_ANGLE, _MIN_EVIDENCE = 0.1, 1.0
 # Minimum root mean square of normalised residuals: the rest of the image has 1.
 _MIN_CONTRADICTION = 3.0
+# Where more of what was compared contradicts, the light has changed, or too little texture would
+# be left to align by.
+_MAX_SHARE = 0.5
 # Minimum number of compared pixels of two keyframes.
 _MIN_PIXELS = 50
 # Intensity from which an image may be saturated.
@@ -74,7 +77,10 @@ def view_dependent(new: AlignedView, others: Sequence[AlignedView]) -> list[Mask
         evidence += pair.evidence
     # A single pixel may be noise, or the edge of a highlight.
     squares, evidence = (cv2.blur(image, (3, 3)) for image in (squares, evidence))
-    mask = (evidence >= _MIN_EVIDENCE) & (squares > _MIN_CONTRADICTION**2 * evidence)
+    known = evidence >= _MIN_EVIDENCE
+    mask = known & (squares > _MIN_CONTRADICTION**2 * evidence)
+    if mask.sum() > _MAX_SHARE * known.sum():
+        return [None] * len(others)
     return [
         _transferred(mask, pair, other, step) for pair, other in zip(compared, others, strict=True)
     ]
