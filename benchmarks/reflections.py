@@ -64,13 +64,14 @@ MAP = (
 DESCRIPTION = """\
 The synthetic room (`semsplat make-room --sensor-noise`, 200 frames of 160x120) as it is, and with
 `--glossy`: a lacquered floor, switched-off screens without depth at most angles, and mirrors on a
-wall and on the wardrobe, on which the sensor measures the depth of the mirror image. In the polished
-room, the floor reflects 30 % of the light from above instead of 7 % (`--polish`). All have the
-same surfaces, camera path and unseen views, and runs have default settings; where reflections are
-ignored, with `--placement.ignore-reflections`. The pixels of the unseen views are grouped by what
-they show in the glossy room, for all rows: glass of mirrors, the lacquered floor, everything else. Depth is the mean absolute difference from the true surfaces, so
-that in a mirror it measures how far behind its glass the map is. `floaters_percent` is the share of
-opaque Gaussians off all surfaces, those of mirror images included."""
+wall and on the wardrobe, on which the sensor measures the depth of the mirror image. In the
+polished room, the floor reflects 30 % of the light from above instead of 7 % (`--polish`). All have
+the same surfaces, camera path and unseen views, and runs have default settings; where reflections
+are ignored, with `--placement.ignore-reflections`. The pixels of the unseen views are grouped by
+what they show in the glossy room, for all rows: glass of mirrors, the lacquered floor, everything
+else. Depth is the mean absolute difference from the true surfaces, so that in a mirror it measures
+how far behind its glass the map is. `floaters_percent` is the share of opaque Gaussians off all
+surfaces, those of mirror images included."""
 
 
 @dataclass(frozen=True, kw_only=True)

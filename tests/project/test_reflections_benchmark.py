@@ -27,9 +27,10 @@ def test_a_missing_view_is_reported(tmp_path):
         list(reflections.groups(tmp_path, 0))
 
 
-def test_both_rooms_differ_in_gloss_only():
-    matt, glossy = (ROOMS[name] for name in reflections.ROOMS.values())
+def test_the_rooms_differ_in_gloss_only():
+    matt, glossy, polished = (ROOMS[name] for name in reflections.ROOMS.values())
     assert glossy == (*matt, "--glossy")
+    assert polished[:-1] == (*glossy, "--polish")
 
 
 def test_targets_compare_with_the_matt_room():
