@@ -8,9 +8,13 @@ import numpy as np
 import torch
 from labelled_room import TAXONOMY, gaussians_at, labelled, room_parts
 
+from toolkit.evaluation.report import ReportContent, render_report
+from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.length_names import METRES
 from toolkit.io.splats import write_splat_ply
 from toolkit.runs.report_pictures import report_floor_plan
+
+EMPTY_PATH = Trajectory(np.empty(0), np.empty((0, 4, 4)))
 
 
 def test_a_run_with_labels_reports_its_floor_plan(tiny_run):
@@ -45,3 +49,28 @@ def test_maps_without_labels_or_without_a_floor_have_none(tmp_path):
         tmp_path / "faint.ply", replace(gaussians, opacity_logits=faint), labels.columns()
     )
     assert report_floor_plan(tmp_path / "faint.ply", TAXONOMY, cameras_m, METRES) is None
+
+
+def test_a_scene_graph_is_drawn_over_the_plan_and_listed(tmp_path):
+    points_m, labels = labelled(room_parts())
+    write_splat_ply(tmp_path / "map.ply", gaussians_at(points_m, labels.label), labels.columns())
+    box = {"centre_m": points_m.mean(axis=0).tolist()}
+    graph = {
+        "nodes": [
+            {"id": 3, "kind": "object", "name": "<b>table", "box": box},
+            {"id": 4, "kind": "structure", "name": "floor", "box": box},
+            {"id": 5, "kind": "room", "name": "room 1", "centre_m": box["centre_m"], "doors": []},
+        ],
+        "edges": [
+            {"source": 3, "target": 4, "relation": "on"},
+            {"source": 3, "target": 5, "relation": "in"},
+        ],
+    }
+    arguments = (tmp_path / "map.ply", TAXONOMY, np.zeros((2, 3)), METRES)
+    plain, drawn = report_floor_plan(*arguments), report_floor_plan(*arguments, graph)
+    assert (plain.image != drawn.image).any()
+    assert plain.objects == ()
+    assert drawn.objects == [("3", "<b>table", "on floor (4), in room 1")]
+    page = render_report(ReportContent("run", "", {}, EMPTY_PATH, floor_plan=drawn))
+    assert "&lt;b&gt;table" in page
+    assert "<b>table" not in page

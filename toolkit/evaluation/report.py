@@ -114,10 +114,12 @@ class ReportFloorPlan:
     Attributes:
         image: [H, W, 3] uint8, classes, camera path and scale.
         areas: classes with their areas, largest first.
+        objects: number in the image, name and relations of each object of a scene graph.
     """
 
     image: NDArray[np.uint8]
     areas: Sequence[ClassArea]
+    objects: Sequence[tuple[str, str, str]] = ()
 
 
 @dataclass(frozen=True)

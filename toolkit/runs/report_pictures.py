@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,7 +24,13 @@ from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import read_splats
 from toolkit.loops.log import read_loop_log
 from toolkit.runs.folder import cloud_of
-from toolkit.semantics.floor_plan import draw_floor_plan, floor_plan
+from toolkit.semantics.floor_plan import (
+    PlanDrawing,
+    PlanEdge,
+    PlanNode,
+    draw_floor_plan,
+    floor_plan,
+)
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import LabelledMap
 from toolkit.semantics.taxonomy import Taxonomy
@@ -96,7 +103,11 @@ def _views(
 
 
 def report_floor_plan(
-    file: Path, taxonomy: Taxonomy, cameras_m: NDArray[np.float64], names: LengthNames
+    file: Path,
+    taxonomy: Taxonomy,
+    cameras_m: NDArray[np.float64],
+    names: LengthNames,
+    graph: dict[str, Any] | None = None,
 ) -> ReportFloorPlan | None:
     """Draw the floor plan of a labelled map.
 
@@ -105,6 +116,7 @@ def report_floor_plan(
         taxonomy: taxonomy of the labels.
         cameras_m: [P, 3] positions of the camera in the frame of the map.
         names: of lengths.
+        graph: scene graph in node-link format, which is drawn over the plan; None for none.
 
     Returns:
         The floor plan, None if the map has no labels or no floor was found.
@@ -121,4 +133,46 @@ def report_floor_plan(
     palette = Palette(taxonomy)
     radii_m = cloud_of(splats).select(torch.from_numpy(opaque)).radii_seen_m(ground.up)
     plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
-    return ReportFloorPlan(draw_floor_plan(plan, palette, legend=False, names=names), plan.areas)
+    drawing = None if graph is None else _graph_drawing(graph)
+    image = draw_floor_plan(plan, palette, legend=False, names=names, drawing=drawing)
+    return ReportFloorPlan(image, plan.areas, () if graph is None else _listed_objects(graph))
+
+
+def _graph_drawing(graph: dict[str, Any]) -> PlanDrawing:
+    """The rooms, objects and relations of a scene graph in node-link format."""
+    rooms = [node for node in graph["nodes"] if node["kind"] == "room"]
+    places_m = {
+        node["id"]: np.array(node["box"]["centre_m"])
+        for node in graph["nodes"]
+        if node["kind"] == "object"
+    }
+    doors_m = [door["place_m"] for room in rooms for door in room["doors"]]
+    return PlanDrawing(
+        [(room["name"], ()) for room in rooms],
+        np.array([room["centre_m"] for room in rooms]).reshape(-1, 3),
+        np.array(doors_m).reshape(-1, 3),
+        np.empty((0, 3)),
+        [PlanNode(str(number), place_m) for number, place_m in places_m.items()],
+        [
+            PlanEdge(edge["relation"], places_m[edge["source"]], places_m[edge["target"]])
+            for edge in graph["edges"]
+            if edge["source"] in places_m and edge["target"] in places_m
+        ],
+    )
+
+
+def _listed_objects(graph: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Number, name and relations of each object of a scene graph in node-link format."""
+    names = {
+        node["id"]: node["name"] if node["kind"] == "room" else f"{node['name']} ({node['id']})"
+        for node in graph["nodes"]
+    }
+    relations: dict[Any, list[str]] = {}
+    for edge in graph["edges"]:
+        text = f"{edge['relation']} {names[edge['target']]}"
+        relations.setdefault(edge["source"], []).append(text)
+    return [
+        (str(node["id"]), node["name"], ", ".join(relations.get(node["id"], ())))
+        for node in graph["nodes"]
+        if node["kind"] == "object"
+    ]

@@ -157,7 +157,7 @@ def write_results(
         report = replace(report, delays=_delay_series(pace))
     if result.taxonomy is not None and len(scene):
         cameras_m = result.trajectory.positions_m
-        plan = report_floor_plan(folder.map, result.taxonomy, cameras_m, names)
+        plan = report_floor_plan(folder.map, result.taxonomy, cameras_m, names, result.scene_graph)
         report = replace(report, floor_plan=plan)
     report = replace(
         report,
