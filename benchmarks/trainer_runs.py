@@ -20,6 +20,8 @@ from toolkit.io.visualisation import colour_image
 from toolkit.runs.finished import FinishedRun
 
 HOLD_OUT = 5
+# Steps per keyframe of a map that is refined for longer.
+REFINE_STEPS = 96
 # Steps of the two short runs that estimate the time of a step.
 _TRIALS = (2, 12)
 _TAIL = 2000
@@ -57,6 +59,12 @@ def our_map(arguments: Sequence[str], shape: str, seed: int, out: Path) -> float
     """
     options = [*our_options(shape), "--seed", str(seed), "--out", str(out)]
     return cpu_seconds(semsplat_command("run", *arguments, *options))
+
+
+def refined_map(run: Path, out: Path) -> float:
+    """Refine the map of a run into another run folder, and return the CPU seconds."""
+    options = ["--iterations", str(REFINE_STEPS), "--threads", "1"]
+    return cpu_seconds(semsplat_command("refine", str(run), "--out", str(out), *options))
 
 
 def our_options(shape: str) -> list[str]:

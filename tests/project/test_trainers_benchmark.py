@@ -169,4 +169,4 @@ def test_each_map_of_a_recording_is_a_row():
     rows = trainers.rows_of({name: [maps]})
     assert list(rows) == [f"{name}, {method}" for method in trainers.METHODS]
     (equal, long, *_) = trainers.targets(rows)
-    assert (equal.value, long.value) == (-1.0, -3.0) and long.met is False
+    assert (equal.value, long.value) == (-2.0, -3.0) and long.met is False

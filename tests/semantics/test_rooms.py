@@ -64,6 +64,21 @@ def test_the_width_of_doors_is_an_option():
     assert len(find_rooms(inside, CELL_M, RoomOptions(min_area_m2=20.0))) == 1
 
 
+def test_a_gap_of_a_wall_is_no_door():
+    rooms = ((0, 0, 4, 4), (4.2, 0, 8, 4))
+    found = find_rooms(canvas(*rooms, (3.9, 1.0, 4.3, 1.2)), CELL_M)
+    assert (len(found), found.doors) == (2, [])
+    found = find_rooms(canvas(*rooms, (3.9, 1.0, 4.3, 1.7)), CELL_M)
+    assert (len(found), len(found.doors)) == (2, 1)
+
+
+def test_a_pillar_does_not_split_a_corridor():
+    inside = canvas((0, 0, 10, 1.8))
+    top, left = cell(5.0, 0.0)
+    inside[top : top + 8, left : left + 8] = False  # 0.4 m of its width
+    assert len(find_rooms(inside, CELL_M)) == 1
+
+
 def test_rooms_survive_holes_and_rough_walls():
     inside = canvas(*FLAT, *DOORS)
     rng = np.random.default_rng(0)
