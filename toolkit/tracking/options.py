@@ -47,7 +47,7 @@ class PlacementOptions:
     # a quarter of a decibel in mapped views of fr1_rpy.
     max_width: Annotated[int, Range(ge=16)] = 400
     """Maximum image width for the alignment, in pixels. Wider images are halved."""
-    # Above a floor that reflects 30 %, ATE fell from 0.197 to 0.162 cm (medians of three rooms), but
+    # Above a floor that reflects 30 %, ATE fell from 0.197 to 0.162 cm (median of three rooms), but
     # mapped views of a HoloLens walk lost 1 dB. Weaker reflections are not found.
     ignore_reflections: bool = False
     """Ignore the colour of surfaces that look different from other directions, such as strongly
