@@ -39,7 +39,8 @@ from toolkit.refinement.fusion import FusedMap
 from toolkit.runs.building import build_slam
 from toolkit.runs.map_files import splat_labels
 from toolkit.runs.settings import RunSettings
-from toolkit.semantics.query import LabelledMap, ObjectOptions
+from toolkit.semantics.options import ObjectOptions
+from toolkit.semantics.query import LabelledMap
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam
 

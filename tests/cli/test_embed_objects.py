@@ -23,7 +23,7 @@ from toolkit.runs.object_embedding import (
     embed_objects,
     find_views,
 )
-from toolkit.semantics.query import ObjectOptions
+from toolkit.semantics.options import ObjectOptions
 
 
 class CentreColour:

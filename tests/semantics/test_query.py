@@ -28,7 +28,8 @@ from labelled_room import (
 from toolkit.errors import FormatError
 from toolkit.geometry import se3
 from toolkit.io.splat_labels import SplatLabels
-from toolkit.semantics.query import LabelledMap, ObjectOptions, check_labels, connected
+from toolkit.semantics.options import ObjectOptions
+from toolkit.semantics.query import LabelledMap, check_labels, connected
 from toolkit.semantics.scene import SceneReader
 
 OPTIONS = ObjectOptions()

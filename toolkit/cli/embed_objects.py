@@ -12,8 +12,8 @@ from toolkit.features.pretrained.text_image import TextImageEncoder
 from toolkit.io.object_embeddings import OBJECTS, write_objects
 from toolkit.runs.labelled import load_labelled_run
 from toolkit.runs.object_embedding import EmbeddingOptions, embed_objects
+from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.product_quantisation import compress
-from toolkit.semantics.query import ObjectOptions
 from toolkit.semantics.scene import SceneReader
 
 _log = logging.getLogger(__name__)

@@ -10,6 +10,7 @@ from tyro.conf import Positional
 
 from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions, PlanOptions
 from toolkit.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
+from toolkit.semantics.options import ObjectOptions
 from toolkit.serving.options import EarlierRun, ServiceLimits
 from toolkit.viewer.options import ShownContent
 
@@ -163,9 +164,9 @@ class EmbedObjectsOptions:
     """Device of the encoder; a GPU if available (auto)."""
     min_confidence: Fraction = 0.0
     """Minimum confidence of the class of a Gaussian."""
-    link_m: PositiveFloat = 0.06
+    link_m: PositiveFloat = ObjectOptions.link_m
     """Maximum distance between neighbouring Gaussians of one object, in metres."""
-    min_gaussians: PositiveInt = 30
+    min_gaussians: PositiveInt = ObjectOptions.min_gaussians
     """Minimum number of Gaussians of an object."""
 
 

@@ -31,6 +31,7 @@ from toolkit.options import (
     PositiveInt,
     Range,
 )
+from toolkit.semantics.options import ObjectOptions
 
 ImageSize = tuple[PositiveInt, PositiveInt]
 
@@ -199,9 +200,9 @@ class QueryProgram:
     dimensions of the room."""
     min_confidence: Fraction = 0.0
     """Minimum confidence of the class of a Gaussian."""
-    link_m: PositiveFloat = 0.06
+    link_m: PositiveFloat = ObjectOptions.link_m
     """Maximum distance between neighbouring Gaussians of one object, in metres."""
-    min_gaussians: PositiveInt = 30
+    min_gaussians: PositiveInt = ObjectOptions.min_gaussians
     """Minimum number of Gaussians of an object."""
     floor: tuple[str, ...] = ()
     """Classes of the floor, which determines the vertical direction. By default, those of floor,

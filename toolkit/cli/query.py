@@ -24,7 +24,8 @@ from toolkit.runs.highlights import Marker, highlighted_view
 from toolkit.runs.labelled import LabelledRun, label, load_labelled_run
 from toolkit.runs.meshing import MeshOptions, part_mesh, write_opaque_points
 from toolkit.semantics.lexicon.matching import match
-from toolkit.semantics.query import FLOOR_NAMES, ObjectOptions
+from toolkit.semantics.options import ObjectOptions
+from toolkit.semantics.query import FLOOR_NAMES
 from toolkit.semantics.scene import SceneReader
 from toolkit.semantics.taxonomy import Taxonomy
 

@@ -17,11 +17,11 @@ from toolkit.exports.selection import SelectedGaussians
 from toolkit.runs.visibility import KeyframeViews, keyframe_views
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.colour_names import colour_name
+from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.paths import Place
 from toolkit.semantics.query import (
     FLOOR_NAMES,
     LabelledMap,
-    ObjectOptions,
     SceneObject,
 )
 from toolkit.semantics.relations import Relation, RelationOptions, relations

@@ -13,7 +13,8 @@ from toolkit.runs.map_files import object_values
 from toolkit.runs.object_embedding import collected
 from toolkit.semantics.boxes import oriented_box
 from toolkit.semantics.embedding_fusion import FusedEmbedding
-from toolkit.semantics.query import LabelledMap, ObjectOptions
+from toolkit.semantics.options import ObjectOptions
+from toolkit.semantics.query import LabelledMap
 from toolkit.semantics.taxonomy import VOID, Taxonomy
 
 # Name of the model in `objects.npz` if the masks do not name it.

@@ -19,6 +19,21 @@ CodeKind = Literal["none", "flat", "one-hot", "binary", "colour"]
 
 
 @dataclass(frozen=True)
+class ObjectOptions:
+    """Options of the extraction of objects.
+
+    Attributes:
+        link_m: maximum distance of neighbouring Gaussians of one object, in metres.
+        min_gaussians: minimum number of Gaussians of an object; smaller pieces are noise.
+        min_confidence: minimum confidence of a Gaussian's label, in [0, 1].
+    """
+
+    link_m: float = 0.06
+    min_gaussians: int = 30
+    min_confidence: float = 0.0
+
+
+@dataclass(frozen=True)
 class LabelImageOptions:
     """Label images in a folder, written by any program."""
 

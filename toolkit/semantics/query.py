@@ -16,6 +16,7 @@ from toolkit.errors import FormatError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.semantics.boxes import Ground, OrientedBox, oriented_box
+from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.taxonomy import VOID, VOID_NAME, Node, Taxonomy
 
 Array = NDArray[np.float64]
@@ -31,21 +32,6 @@ _LOWEST_PERCENT = 0.5
 _MIN_NEIGHBOURS = 4
 # Places on an axis of an ellipsoid, in standard deviations.
 _ON_AXES = np.array([-1.0, -0.5, 0.5, 1.0])
-
-
-@dataclass(frozen=True)
-class ObjectOptions:
-    """Options of the extraction of objects.
-
-    Attributes:
-        link_m: maximum distance of neighbouring Gaussians of one object, in metres.
-        min_gaussians: minimum number of Gaussians of an object; smaller pieces are noise.
-        min_confidence: minimum confidence of a Gaussian's label, in [0, 1].
-    """
-
-    link_m: float = 0.06
-    min_gaussians: int = 30
-    min_confidence: float = 0.0
 
 
 @dataclass(frozen=True)

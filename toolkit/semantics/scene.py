@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from toolkit.semantics.boxes import Ground, OrientedBox, floor_area_m2, oriented_box
 from toolkit.semantics.lexicon.matching import match
+from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.query import (
     CEILING_NAMES,
     FLOOR_NAMES,
     LabelledMap,
-    ObjectOptions,
     SceneObject,
 )
 from toolkit.semantics.taxonomy import VOID

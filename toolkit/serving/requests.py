@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from toolkit.errors import SettingsError
 from toolkit.geometry import se3
+from toolkit.semantics.options import ObjectOptions
 
 Picture = Literal["colour", "depth", "classes"]
 
@@ -90,8 +91,8 @@ class QueryParameters(BaseModel):
         min_length=1, max_length=200, description='Class or group, or path: "seating > chair".'
     )
     min_confidence: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
-    link_m: Annotated[float, Field(ge=0.01, le=1, allow_inf_nan=False)] = 0.06
-    min_gaussians: Annotated[int, Field(ge=1, le=10**9)] = 30
+    link_m: Annotated[float, Field(ge=0.01, le=1, allow_inf_nan=False)] = ObjectOptions.link_m
+    min_gaussians: Annotated[int, Field(ge=1, le=10**9)] = ObjectOptions.min_gaussians
 
 
 class PageParameters(BaseModel):

@@ -25,8 +25,8 @@ from toolkit.io.images import encode_png
 from toolkit.io.visualisation import colour_image
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.runs.finished import FinishedRun
+from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.palette import Palette
-from toolkit.semantics.query import ObjectOptions
 from toolkit.semantics.scene import SceneReader
 from toolkit.serving.requests import QueryParameters, RenderRequest, pose_values
 
