@@ -61,7 +61,7 @@ def test_a_frame_in_doubt_extends_no_map_and_is_in_no_result(room):
 @pytest.mark.parametrize(("period_s", "started"), [(1 / 30, False), (0.5, True)])
 def test_patience_ends_by_time_at_a_low_frame_rate(room, period_s, started):
     """Four frames elsewhere, within an eighth of a second or within two seconds."""
-    slam = new_slam(patience=15, patience_s=1.0)
+    slam = new_slam(patience=15)
     shown = [*room.frames[:4], *map(another_place, room.frames[4:8])]
     fed(slam, [replace(f, index=k, timestamp_s=period_s * k) for k, f in enumerate(shown)])
     assert (len(slam.atlas) == 2) == started

@@ -81,7 +81,5 @@ class RelocalisationOptions:
     min_visible: Fraction = 0.4
     """Minimum fraction of the frame's measured pixels that the map explains."""
     patience: PositiveInt = 15
-    """Number of consecutive doubtful or lost frames after which a new submap is started."""
-    patience_s: PositiveFloat = 1.0
-    """Time in seconds without a reliable frame after which a new submap is started as well, but
-    not before three frames: at a low frame rate, the camera moves far in 15 frames."""
+    """Number of consecutive doubtful or lost frames after which a new submap is started; at low
+    frame rates, it is started after three frames and a second."""

@@ -31,6 +31,9 @@ _log = logging.getLogger(__name__)
 
 # Fewer unreliable frames in a row do not end a submap, however long they take.
 _MIN_UNRELIABLE = 3
+# Time without a reliable frame after which that many end it: at a low frame rate, the camera moves
+# far in the frames of `patience`.
+_PATIENCE_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ class Recovery:
             return True
         last = path.last_reliable_s
         waited_s = 0.0 if last is None else frame.timestamp_s - last
-        return path.unreliable_in_a_row >= _MIN_UNRELIABLE and waited_s >= options.patience_s
+        return path.unreliable_in_a_row >= _MIN_UNRELIABLE and waited_s >= _PATIENCE_S
 
     def recover(self, frame: Frame, lost: TrackingResult, may_map: bool) -> Located:
         """Relocalise a lost frame.
