@@ -30,7 +30,7 @@ def wall(x_m: float, gloss: float, gain: float = 1.0, edge_m: float = EDGE_M) ->
     level = FrameLevel(CAMERA, intensity, torch.full((60, 80), DEPTH_M))
     T_map_camera = np.eye(4)
     T_map_camera[0, 3] = x_m
-    return AlignedView(T_map_camera, level, model_level(level))
+    return AlignedView(T_map_camera, level)
 
 
 def masks(gloss: float, gain: float = 1.0) -> list[np.ndarray]:
@@ -63,7 +63,7 @@ def test_the_same_view_again_is_no_evidence() -> None:
 
 
 def test_only_the_gradient_within_the_mask_is_removed() -> None:
-    level = wall(0.0, gloss=0.0).model
+    level = model_level(wall(0.0, gloss=0.0).frame)
     mask = np.zeros((30, 40), bool)
     mask[:, :20] = True
     changed = without_gradient(level, mask)

@@ -105,8 +105,7 @@ class KeyframePlacement:
         ]
 
     def _coarse_view(self, keyframe: Keyframe) -> AlignedView:
-        levels = self._levels(keyframe)
-        return AlignedView(keyframe.T_map_camera, levels.frame[-1], levels.model[-1])
+        return AlignedView(keyframe.T_map_camera, self._levels(keyframe).frame[-1])
 
     def _levels(self, keyframe: Keyframe) -> _Levels:
         key = (keyframe.index, keyframe.exposure)

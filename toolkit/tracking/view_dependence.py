@@ -51,12 +51,11 @@ class AlignedView:
 
     Attributes:
         T_map_camera: [4, 4].
-        frame, model: the same level, as the frame and as the model of an alignment.
+        frame: its intensity and depth.
     """
 
     T_map_camera: Array
     frame: FrameLevel
-    model: ModelLevel
 
 
 def view_dependent(new: AlignedView, others: Sequence[AlignedView]) -> list[Mask | None]:
@@ -69,7 +68,8 @@ def view_dependent(new: AlignedView, others: Sequence[AlignedView]) -> list[Mask
         A mask [H, W] for each of the others, or None where the mask is empty.
     """
     step = max(1, new.frame.camera.width // _SAMPLES)
-    compared = [_compared(new, other, step) for other in others]
+    contrast = _contrast(new.frame)[::step, ::step]
+    compared = [_compared(new, contrast, other, step) for other in others]
     shape = new.frame.depth_m.numpy()[::step, ::step].shape
     squares, evidence = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     for pair in compared:
@@ -114,8 +114,10 @@ class _Compared:
     pixels: NDArray[np.intp]
 
 
-def _compared(new: AlignedView, other: AlignedView, step: int) -> _Compared:
-    """Compare every n-th pixel of a new keyframe with another one."""
+def _compared(
+    new: AlignedView, own_contrast: NDArray[np.float32], other: AlignedView, step: int
+) -> _Compared:
+    """Compare every n-th pixel of a new keyframe, of known contrast [h, w], with another one."""
     z = new.frame.depth_m.numpy()[::step, ::step].astype(np.float64)
     own = new.frame.intensity.numpy()[::step, ::step]
     T_other_new = se3.inverse(other.T_map_camera) @ new.T_map_camera
@@ -138,7 +140,7 @@ def _compared(new: AlignedView, other: AlignedView, step: int) -> _Compared:
     pixels = np.where(same, row * camera.width + column, -1)
     if same.sum() < _MIN_PIXELS:
         return _Compared(nothing, nothing, pixels)
-    contrast = np.maximum(_contrast(new.frame)[::step, ::step], _contrast(other.frame)[row, column])
+    contrast = np.maximum(own_contrast, _contrast(other.frame)[row, column])
     residual = shown - own
     residual -= np.median(residual[same])
     squares = residual**2 / (_NOISE**2 + (_OF_CONTRAST * contrast) ** 2)
