@@ -280,6 +280,26 @@ def test_pieces_that_lie_apart_are_separated(seed, count):
         assert len(np.unique(points_m[piece, 0].round())) == 1
 
 
+def test_a_fragment_that_hardly_touches_an_object_belongs_to_it():
+    parts = [chair(0.0, 0.0), chair(2.0, 0.0)]
+    top = sheet((0.1, 0.0, CHAIR_SIZE_M[2] + 0.08), (0.2, 0, 0), (0, 0.2, 0))
+
+    def sizes(*chairs: np.ndarray) -> list[int]:
+        found = map_of({"chair": np.concatenate(chairs)}).objects(None, None, OPTIONS)
+        return [len(item) for item in found]
+
+    assert sizes(*parts, top) == [len(parts[0]) + len(top), len(parts[1])]
+    far = top + np.array([0.0, 0.0, 0.5])
+    assert sizes(*parts, far) == [len(parts[0]), len(parts[1]), len(top)]
+
+
+def test_an_object_beside_one_of_similar_size_is_no_fragment():
+    near = chair(CHAIR_SIZE_M[0] + 0.12, 0.0)
+    parts = {"chair": np.concatenate([chair(0.0, 0.0), near])}
+    options = replace(OPTIONS, link_m=0.05)
+    assert len(map_of(parts).objects(None, None, options)) == 2
+
+
 def test_nothing_has_no_pieces():
     assert connected(np.empty((0, 3)), 0.05) == []
     assert connected(np.zeros((1, 3)), 0.05) == []

@@ -39,6 +39,11 @@ class OrientedBox:
     size_m: Array
     upright: bool
 
+    def contains(self, point_m: Array, margin_m: float = 0.0) -> bool:
+        """Whether a point [3] is inside, or outside by at most a margin along each axis."""
+        along_m = (point_m - self.centre_m) @ self.axes
+        return bool((np.abs(along_m) <= self.size_m / 2 + margin_m).all())
+
 
 @dataclass(frozen=True)
 class Ground:

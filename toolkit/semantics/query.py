@@ -30,6 +30,10 @@ CEILING_NAMES = ("ceiling",)
 _LOWEST_PERCENT = 0.5
 # Minimum number of neighbours of a DBSCAN core point, itself included.
 _MIN_NEIGHBOURS = 4
+# A fragment of an object, such as the leg of a chair that hardly touches the rest: the object has
+# at least so many times its Gaussians, and its box, enlarged by so much, contains the fragment's
+# centre.
+_LARGER, _BESIDE_M = 4, 0.1
 # Places on an axis of an ellipsoid, in standard deviations.
 _ON_AXES = np.array([-1.0, -0.5, 0.5, 1.0])
 
@@ -62,7 +66,7 @@ class LabelledMap:
     """Gaussians with labels.
 
     Objects are the instances of the labels. Gaussians without an instance, and maps without
-    instances, form objects by connection.
+    instances, form objects by connection; fragments that hardly touch an object belong to it.
 
     Attributes:
         means_m: [N, 3] float64, centres in the map frame, in metres.
@@ -173,8 +177,7 @@ class LabelledMap:
             kinds[self.labels.instances > 0] = -1
         for kind in np.unique(kinds[kinds >= 0]):
             index = np.flatnonzero(kinds == kind)
-            for piece in self.pieces(index, options):
-                found.append(self._object(int(kind), piece, ground))
+            found += self._connected(int(kind), self.pieces(index, options), ground)
         return sorted(found, key=lambda o: (-len(o), o.index[0]))
 
     def _instances(
@@ -202,6 +205,27 @@ class LabelledMap:
                 members = np.sort(np.concatenate(pieces))
                 yield self._object(kind, members, ground, int(instances[index[0]]))
 
+    def _connected(
+        self, kind: int, pieces: Sequence[NDArray[np.intp]], ground: Ground | None
+    ) -> list[SceneObject]:
+        """Return the objects of the connected components of a kind, largest first, joined."""
+        bodies: list[SceneObject] = []
+        parts: list[list[NDArray[np.intp]]] = []
+        for piece in pieces:
+            found = self._object(kind, piece, ground)
+            owner = next((n for n, of in enumerate(bodies) if _is_fragment(found, of)), None)
+            if owner is None:
+                bodies.append(found)
+                parts.append([])
+            else:
+                parts[owner].append(piece)
+        return [
+            self._object(kind, np.sort(np.concatenate([body.index, *more])), ground)
+            if more
+            else body
+            for body, more in zip(bodies, parts, strict=True)
+        ]
+
     def _object(
         self, kind: int, index: NDArray[np.intp], ground: Ground | None, instance: int = 0
     ) -> SceneObject:
@@ -228,6 +252,13 @@ class LabelledMap:
         depth = len(above.path)
         within = np.array([n.path[:depth] == above.path for n in self.taxonomy.nodes])
         return np.where(within[finest], finest, self.taxonomy.nodes.index(above))
+
+
+def _is_fragment(item: SceneObject, body: SceneObject) -> bool:
+    """Whether an object is a fragment of a larger one of its class."""
+    if len(body) < _LARGER * len(item):
+        return False
+    return body.box.contains(item.box.centre_m, _BESIDE_M)
 
 
 def check_labels(labels: SplatLabels, taxonomy: Taxonomy) -> None:
