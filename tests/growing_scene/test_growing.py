@@ -80,6 +80,21 @@ def test_objects_have_their_places_relations_and_room(keyframes):
         assert node["rooms"] == [1] and node["first_seen"] <= node["last_seen"]
 
 
+def test_objects_keep_their_identifiers_while_the_scene_grows(keyframes):
+    atlas = OneSubmap()
+    scene = grown(keyframes[:8], new_scene(), atlas)
+    before = scene.content()
+    numbers = {node["id"]: node["name"] for node in before["nodes"] if node["kind"] != "room"}
+    after = grown(keyframes[8:], scene, atlas).content()
+    again = {node["id"]: node["name"] for node in after["nodes"] if node["kind"] != "room"}
+    kept = numbers.keys() & scene.objects.keys()
+    assert len(kept) >= 3 and kept <= again.keys() <= scene.objects.keys()
+    assert all(again[number] == numbers[number] for number in kept)
+    ids = [node["id"] for node in after["nodes"]]
+    assert len(set(ids)) == len(ids)
+    assert {end for e in after["edges"] for end in (e["source"], e["target"])} <= set(ids)
+
+
 def test_a_resumed_scene_continues_identically(keyframes):
     whole_atlas = OneSubmap()
     whole = grown(keyframes, new_scene(), whole_atlas)

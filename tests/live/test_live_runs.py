@@ -20,6 +20,7 @@ from toolkit.cli.live import stopped_by_interrupt
 from toolkit.cli.main import main
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import CameraError, DatasetError, RunFolderError
+from toolkit.growing_scene.options import GrowingSceneOptions
 from toolkit.io.images import write_depth_png
 from toolkit.live import frame_writer
 from toolkit.live.execution import LiveHooks, run_live
@@ -102,6 +103,10 @@ def test_frames_of_a_camera_make_a_map_and_can_be_run_again(tmp_path: Path):
 class Viewer(Follower):
     """Follows the run like a viewer, and releases the camera when it has seen the newest frame."""
 
+    def __init__(self, taken) -> None:
+        super().__init__(taken)
+        self.objects: list[dict[int, str]] = []
+
     def started(self, run) -> None:
         self.live = LiveRun(run.folder.path, ShownContent())
         assert self.live.poll() is None
@@ -112,6 +117,7 @@ class Viewer(Follower):
             assert time.monotonic() < deadline_s
             time.sleep(0.01)
         self.calls.append(f"{scene.title}: {len(scene.keyframes)} keyframes")
+        self.objects.append({one.number: one.name for one in scene.objects})
         super().frame_processed(frame, result)
 
 
@@ -122,10 +128,15 @@ def test_a_viewer_follows_a_live_run(tmp_path: Path, monkeypatch):
     taken = threading.Semaphore(0)
     viewer, out = Viewer(taken), tmp_path / "run"
     camera = ScriptedCamera(FRAMES, taken=taken)
-    run_live(SETTINGS, LiveOptions(), camera, out, LiveHooks(observers=[viewer]))
+    settings = replace(SETTINGS, scene=GrowingSceneOptions(graph=True))
+    run_live(settings, LiveOptions(), camera, out, LiveHooks(observers=[viewer]))
     shown = [call for call in viewer.calls if "keyframes" in call]
     assert shown == [f"run, frame {i + 1}: {i + 1} keyframes" for i in range(4)]
-    assert viewer.live.poll().title == "run" and viewer.live.finished
+    assert not viewer.objects[0] and viewer.objects[-1], "objects appear while the map grows"
+    final = viewer.live.poll()
+    assert final.title == "run" and viewer.live.finished
+    names = {one.number: one.name for one in final.objects}
+    assert names.items() & viewer.objects[-1].items(), "the finished run has the same objects"
     assert not (out / "live").exists()
 
 

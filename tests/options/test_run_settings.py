@@ -71,5 +71,6 @@ def test_every_option_is_described_by_a_complete_phrase():
 
 def test_a_run_has_few_options_of_short_names():
     keys = [option.key for option in nested_options(RunProgram)]
-    assert len(keys) <= 207
+    # The last one, instances.encoder: texts that no class means need the model of the embeddings.
+    assert len(keys) <= 208
     assert [key for key in keys if key.count(".") > 2] == []

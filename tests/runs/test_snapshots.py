@@ -12,6 +12,7 @@ import pytest
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.timing import StageRecorder
+from toolkit.growing_scene.options import GrowingSceneOptions
 from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.runs.building import build_slam
 from toolkit.runs.execution import run
@@ -27,6 +28,7 @@ MAPPING = MapperOptions(
 )
 SUBMAPS = SubmapOptions(allocation=AllocationOptions(min_keyframes=2, max_keyframes=3))
 SETTINGS = RunSettings(mapping=MAPPING, submaps=SUBMAPS)
+GRAPH = replace(SETTINGS, scene=GrowingSceneOptions(graph=True))
 
 
 @dataclass
@@ -35,13 +37,14 @@ class Running:
 
     recording: Path
     path: Path
+    settings: RunSettings = SETTINGS
     time_s: float = 0.0
     done: int = 0
     writer: SnapshotWriter = field(init=False)
 
     def __post_init__(self) -> None:
         dataset = DatasetOptions(kind="folder", path=self.recording)
-        settings = replace(SETTINGS, dataset=dataset)
+        settings = replace(self.settings, dataset=dataset)
         self.folder = RunFolder.create(self.path, dump_settings(settings))
         self.frames = open_dataset("folder", self.recording)
         recorder = StageRecorder()
@@ -109,6 +112,23 @@ def test_a_snapshot_has_the_doubtful_and_the_lost_frames(running):
     running.process(9.0)
     seen = ProgressReader(running.path).read()
     assert (seen.doubtful, seen.lost) == ({path.indices[2]}, {90})
+
+
+def test_snapshots_and_checkpoints_have_the_scene_graph(tiny_recording, tmp_path):
+    run = Running(tiny_recording, tmp_path / "run", GRAPH)
+    reader = ProgressReader(run.path)
+    watch(run.folder)
+    run.process(0.0, 4)
+    first = reader.read().graph
+    assert {node["kind"] for node in first["nodes"]} == {"room"}, "one keyframe makes no object"
+    watch(run.folder)
+    run.process(9.0)
+    expected = run.slam.scene.content()
+    assert len(expected["nodes"]) > 3
+    assert reader.read().graph == expected
+    run.folder.save_checkpoint(6, *run.slam.state())
+    run.observers.close()
+    assert ProgressReader(run.path).read().graph == expected
 
 
 def test_snapshots_have_an_interval_and_end_with_the_viewer(running):

@@ -17,6 +17,7 @@ from toolkit.mapping.options import MapperOptions
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.options import validated
 from toolkit.semantics.factory import build_code
+from toolkit.semantics.labeller import IgnoredPixels
 from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
 from toolkit.slam.frame_preparation import FrameSources
 from toolkit.slam.front_end import FrontEnd
@@ -49,21 +50,25 @@ def another_place(frame: Frame) -> Frame:
     return replace(frame, rgb=rgb, depth_m=2.0 * frame.depth_m[::-1, ::-1])
 
 
-def new_slam(seed: int = 0, placed: bool = True, **front_end: Any) -> Slam:
+def new_slam(
+    seed: int = 0, placed: bool = True, sources: FrameSources | None = None, **front_end: Any
+) -> Slam:
     """With keyframes placed by earlier ones, or where they are tracked."""
     placement = KeyframePlacement() if placed else None
     return Slam(
         FrontEnd(DenseTracker(), placement=placement, **front_end),
         Mapper(FEW, np.random.default_rng(seed)),
+        sources=sources,
     )
 
 
-def new_semantic_slam(kind: str, seed: int = 0) -> Slam:
+def new_semantic_slam(kind: str, seed: int = 0, others: IgnoredPixels | None = None) -> Slam:
     """With labels of the room's own ("recorded") or of its planes ("geometric")."""
     settings = validated(SemanticsOptions, {"network": {"use": True}, "loss": {"inter_from": 1}})
     source = validated(SegmenterOptions, {"kind": kind})
     labeller = build_labeller(settings, source, dict(enumerate(CLASS_NAMES, start=1)))
     assert labeller is not None
+    labeller.others = others
     code = build_code(settings.code, labeller.taxonomy)
     semantics = build_semantic_mapping(settings, code, 0)
     mapper = Mapper(FEW, np.random.default_rng(seed), semantics=semantics)

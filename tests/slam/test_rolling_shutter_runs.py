@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_room import SlamRoom, blind_frames, fed, fingerprint, new_slam
+from slam_room import SlamRoom, blind_frames, fed, fingerprint, new_semantic_slam, new_slam
 
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.frame import Frame
 from toolkit.geometry import se3
+from toolkit.slam.frame_preparation import FrameSources
 from toolkit.tracking.initial_velocity import initial_velocity
 from toolkit.tracking.rolling_shutter import as_exposed, velocity_between
 
@@ -93,3 +94,22 @@ def test_dropped_and_lost_frames_have_no_velocity(frames):
     np.testing.assert_array_equal(slam.camera_path.velocity(slam.atlas, frames[4]), known)
     fed(slam, blind_frames(frames[4:5]))
     assert slam.camera_path.velocity(slam.atlas, frames[5]) is None
+
+
+def test_what_is_ignored_has_no_depth_in_keyframes(frames):
+    """Keyframes are rectified again, by their own velocity, from the frame as it was recorded."""
+
+    class LeftHalf:
+        def pixels(self, frame, ignored):
+            left = np.zeros_like(ignored)
+            left[:, : left.shape[1] // 2] = True
+            return ignored | left
+
+    unlabelled = new_slam(sources=FrameSources(ignored=LeftHalf()))
+    labelled = new_semantic_slam("recorded", others=LeftHalf())
+    for slam in (unlabelled, labelled):
+        fed(slam, frames[:6])
+        assert len(slam.atlas.keyframes) > 1
+        for keyframe in slam.atlas.keyframes:
+            half = keyframe.camera.width // 2
+            assert not keyframe.depth_m[:, :half].any() and keyframe.depth_m[:, half:].any()

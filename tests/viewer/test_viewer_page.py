@@ -276,8 +276,8 @@ def test_the_tree_of_objects_marks_the_chosen_one(browser, tmp_path):
     corners = np.array([[(low, high)[i >> a & 1][a] for a in range(3)] for i in range(8)])
     hostile = "<img src=x onerror=alert(1)>"
     objects = (
-        ShownObject("table 0", "room 1", corners, ("next to lamp 1",)),
-        ShownObject(hostile, "room 1", corners + 100.0),
+        ShownObject(0, "table 0", "room 1", corners, ("next to lamp 1",)),
+        ShownObject(1, hostile, "room 1", corners + 100.0),
     )
     write_page(tmp_path / "viewer.html", replace(scene, objects=objects))
     watched = WatchedPage(browser)

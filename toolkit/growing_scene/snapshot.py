@@ -61,30 +61,34 @@ class Snapshot:
 
 
 def snapshot_content(snapshot: Snapshot, taxonomy: Taxonomy) -> dict[str, Any]:
-    """Return nodes and edges as `export --format scene-graph` writes them."""
+    """Return nodes and edges as `export --format scene-graph` writes them.
+
+    The identifiers of objects are their numbers in the run, and stay while the scene grows. Those
+    of rooms follow.
+    """
     kept = [
         n
         for n, one in sorted(snapshot.objects.items())
         if one.size >= _MIN_VOXELS and one.views >= _MIN_VIEWS
     ]
-    index = {number: k for k, number in enumerate(kept)}
     rooms = _rooms(snapshot)
     room_of = {n: _rooms_of(snapshot, rooms, n) for n in kept}
     storeys = _storeys(snapshot)
-    nodes = [_object_node(snapshot, n, index[n], room_of[n], storeys) for n in kept]
-    count = len(nodes)
-    nodes += _room_nodes(snapshot, rooms, count)
+    nodes = [_object_node(snapshot, n, room_of[n], storeys) for n in kept]
+    first_room = max(kept, default=-1) + 1
+    nodes += _room_nodes(snapshot, rooms, first_room)
+    shown = set(kept)
     edges = [
-        _edge(index[r.source], index[r.target], r.kind)
+        _edge(r.source, r.target, r.kind)
         for r in snapshot.relations
-        if r.source in index and r.target in index
+        if r.source in shown and r.target in shown
     ]
     for n in kept:
         kind = "in" if snapshot.roles[n] == "object" else "part of"
-        edges += [_edge(index[n], count + room, kind) for room in room_of[n]]
+        edges += [_edge(n, first_room + room, kind) for room in room_of[n]]
     edges += [
         {
-            **_edge(count + door.rooms[0], count + door.rooms[1], "connected to"),
+            **_edge(first_room + door.rooms[0], first_room + door.rooms[1], "connected to"),
             "width_m": round(door.width_m, 2),
         }
         for door in rooms.rooms.doors
@@ -126,13 +130,13 @@ def _storeys(snapshot: Snapshot) -> Storeys:
 
 
 def _object_node(
-    snapshot: Snapshot, number: int, k: int, rooms: Sequence[int], storeys: Storeys
+    snapshot: Snapshot, number: int, rooms: Sequence[int], storeys: Storeys
 ) -> dict[str, Any]:
     one, points_m = snapshot.objects[number], snapshot.points_m[number]
     node = snapshot.nodes[number]
     bottom_m = float(np.percentile(points_m @ snapshot.ground.up, 2))
     return {
-        "id": k,
+        "id": number,
         "kind": "object" if snapshot.roles[number] == "object" else "structure",
         "name": node.name,
         "path": list(node.path),

@@ -64,6 +64,11 @@ class CocoMasks:
                 )
             self._annotations.setdefault(image, []).append(annotation)
 
+    def class_names(self) -> set[str]:
+        """Return the names of the classes of all annotations."""
+        found = (one.class_name for some in self._annotations.values() for one in some)
+        return {name for name in found if name is not None}
+
     def masks(self, keyframe: Keyframe) -> InstanceMasks | None:
         """Return the masks of a keyframe's image, None without one.
 

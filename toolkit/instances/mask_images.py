@@ -41,6 +41,16 @@ class MaskImageFolder:
         self._warned = False
         self._length: tuple[int, Path] | None = None
 
+    def class_names(self) -> set[str]:
+        """Return the names of the classes in all files.
+
+        Raises:
+            DatasetError: a file cannot be read, or its content does not fit.
+        """
+        files = (file.with_suffix(".npz") for file in self._files.values())
+        columns = (_read(file)["classes"] for file in files if file.is_file())
+        return {str(name) for names in columns for name in names if name}
+
     def masks(self, keyframe: Keyframe) -> InstanceMasks | None:
         """Return the masks of a keyframe's file, None without one.
 

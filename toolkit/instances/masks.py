@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,14 @@ class InstanceMasks:
         """Number of masks."""
         return len(self.classes)
 
+    def select(self, rows: NDArray[np.intp]) -> InstanceMasks:
+        """Return the masks of some rows [M], ascending; the pixels of others have no mask."""
+        table = np.zeros(len(self) + 1, np.int32)
+        table[rows + 1] = np.arange(1, len(rows) + 1)
+        classes = [self.classes[k] for k in rows]
+        scores, embeddings = self.scores[rows], self.embeddings[rows]
+        return InstanceMasks(table[self.ids], classes, scores, embeddings, self.model)
+
     @classmethod
     def of_ids(cls, ids: NDArray[np.integer]) -> InstanceMasks:
         """Masks without classes and embeddings from any ids [H, W]; 0 is none."""
@@ -70,5 +78,18 @@ class MaskSource(Protocol):
 
         Raises:
             DatasetError: the masks of the frame are invalid.
+        """
+        ...
+
+
+@runtime_checkable
+class NamedClasses(Protocol):
+    """A source of masks that states the classes of its masks beforehand."""
+
+    def class_names(self) -> set[str]:
+        """Return the names of all classes.
+
+        Raises:
+            DatasetError: a file cannot be read.
         """
         ...

@@ -40,6 +40,10 @@ class InstanceOptions:
     """How mask images are assigned to frames: by the frame's index (number) or by the name of the
     frame's image (stem)."""
     model: InstanceModelOptions = InstanceModelOptions()
+    encoder: Path | None = None
+    """Folder of the model, such as CLIP or SigLIP, that made the embeddings of the masks:
+    --semantics.ignore accepts any texts, and also ignores masks whose embeddings are nearest to
+    one of them."""
     voxel_m: PositiveFloat = 0.04
     """Edge of the voxels whose overlap identifies objects, in metres."""
     min_gaussians: NonNegativeInt = 20

@@ -307,9 +307,4 @@ def _limited(masks: InstanceMasks) -> InstanceMasks:
     if len(masks) <= _MAX_MASKS:
         return masks
     areas = np.bincount(masks.ids.reshape(-1), minlength=len(masks) + 1)[1:]
-    kept = np.sort(np.argsort(-areas, kind="stable")[:_MAX_MASKS])
-    table = np.zeros(len(masks) + 1, np.int32)
-    table[kept + 1] = np.arange(1, len(kept) + 1)
-    classes = [masks.classes[k] for k in kept]
-    scores, embeddings = masks.scores[kept], masks.embeddings[kept]
-    return InstanceMasks(table[masks.ids], classes, scores, embeddings, masks.model)
+    return masks.select(np.sort(np.argsort(-areas, kind="stable")[:_MAX_MASKS]))

@@ -8,12 +8,14 @@ import numpy as np
 
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.depth_priors.correction import DepthCorrection
-from toolkit.errors import SettingsError
+from toolkit.errors import FormatError, SettingsError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.features.factory import build_differentiable_describer
 from toolkit.features.sources import ViewDescriber
 from toolkit.growing_scene.growing import GrowingScene
-from toolkit.instances.factory import build_instances
+from toolkit.instances.factory import build_instances, may_ignore_masks
+from toolkit.instances.ignoring import IgnoredMasks, IgnoredTexts
+from toolkit.instances.tracking import InstanceTracker
 from toolkit.loops.closing.factory import ClosingContext
 from toolkit.mapping.mapper import Mapper
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
@@ -54,7 +56,8 @@ def build_slam(
     reuse_freed_memory()
     settings = settings or RunSettings()
     recorder = recorder or StageRecorder()
-    labeller = build_run_labeller(settings, dataset)
+    unmatched: dict[str, FormatError] = {}
+    labeller = build_run_labeller(settings, dataset, unmatched)
     taxonomy = labeller.taxonomy if labeller else None
     code = build_code(settings.semantics.code, taxonomy) if taxonomy else None
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
@@ -83,11 +86,12 @@ def build_slam(
     )
     submaps = folder.submaps if folder else None
     atlas = build_atlas(settings.submaps, mapper.first_submap(), labeller, submaps)
-    sources = FrameSources(labeller, settings.denoise)
     names = None if taxonomy is None else dict(enumerate(taxonomy.classes, start=1))
     stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
     continues = settings.map is not None
-    instances = build_instances(settings.instances, names, stems, continues)
+    ignored = _ignored_texts(settings, labeller, unmatched)
+    instances = build_instances(settings.instances, names, stems, continues, ignored)
+    sources = _frame_sources(settings, labeller, instances)
     slam = Slam(front_end, mapper, atlas, sources, recorder, instances)
     if settings.scene.graph:
         if taxonomy is None:
@@ -110,12 +114,48 @@ def refinement_describer(settings: RunSettings) -> ViewDescriber | None:
     return build_differentiable_describer(settings.loops.features)
 
 
-def build_run_labeller(settings: RunSettings, dataset: Dataset | None) -> Labeller | None:
+def build_run_labeller(
+    settings: RunSettings,
+    dataset: Dataset | None,
+    unmatched: dict[str, FormatError] | None = None,
+) -> Labeller | None:
     """Build the labeller of a run's frames, None for a map without semantics.
+
+    Args:
+        settings: of the run.
+        dataset: its sequence; None for frames of another source.
+        unmatched: receives the texts of --semantics.ignore that mean no class of the labels, with
+            the reasons, if they may mean masks.
 
     Raises:
         ToolkitError: the settings require labels that are not available.
     """
     names = dataset.label_names if dataset is not None else None
     stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
-    return build_labeller(settings.semantics, settings.segmenter, names, stems)
+    if may_ignore_masks(settings.instances):
+        unmatched = {} if unmatched is None else unmatched
+    else:
+        unmatched = None
+    return build_labeller(settings.semantics, settings.segmenter, names, stems, unmatched)
+
+
+def _frame_sources(
+    settings: RunSettings, labeller: Labeller | None, instances: InstanceTracker | None
+) -> FrameSources:
+    masks = None if instances is None else instances.source
+    if not isinstance(masks, IgnoredMasks):
+        return FrameSources(labeller, settings.denoise)
+    if labeller is None:
+        return FrameSources(None, settings.denoise, masks)
+    labeller.others = masks
+    return FrameSources(labeller, settings.denoise)
+
+
+def _ignored_texts(
+    settings: RunSettings, labeller: Labeller | None, unmatched: dict[str, FormatError]
+) -> IgnoredTexts:
+    texts = settings.semantics.ignore
+    if labeller is None:
+        unmatched = {t: FormatError(f"the run has no labels with a class '{t}'") for t in texts}
+        return IgnoredTexts(texts, unmatched=unmatched)
+    return IgnoredTexts(texts, labeller.ignored_classes, labeller.taxonomy, unmatched)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.geometry.camera import Camera
-from toolkit.io.arrays import arrays_below, read_array_tree
+from toolkit.growing_scene.growing import GrowingScene
+from toolkit.io.arrays import JoinedArrays, arrays_below, read_array_tree
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
@@ -29,7 +30,7 @@ from toolkit.submaps.store import SubmapStore
 
 # Arrays of a checkpoint that describe the map and the cameras; the rest is much larger.
 _WANTED = re.compile(
-    r"atlas/(anchors|indices/\d+|poses/\d+)|mapper/semantics/.*|path/T_keyframe_camera"
+    r"atlas/(anchors|indices/\d+|poses/\d+)|mapper/semantics/.*|path/T_keyframe_camera|scene/.*"
     r"|atlas/active/(gaussians/.*|keyframes/\d+/(T_map_camera|rgb))"
 )
 
@@ -82,6 +83,7 @@ class RunProgress:
         decode: labels of Gaussians from their features; None without labels.
         doubtful: indices of the tracked frames whose poses may be wrong.
         lost: indices of the frames without a pose.
+        graph: the scene graph so far in node-link format; None without one.
     """
 
     next_frame: int
@@ -94,6 +96,7 @@ class RunProgress:
     decode: Callable[[GaussianCloud], SplatLabels] | None
     doubtful: frozenset[int] = frozenset()
     lost: frozenset[int] = frozenset()
+    graph: dict[str, Any] | None = None
 
 
 class ProgressReader:
@@ -188,6 +191,7 @@ class ProgressReader:
             decode=decode,
             doubtful=frozenset(int(row["index"]) for row in tracked if row["doubt"]),
             lost=frozenset(int(index) for index, _ in values["path"]["lost_frames"]),
+            graph=None if taxonomy is None else _scene_graph(taxonomy, arrays, values),
         )
 
     def _parts(
@@ -233,6 +237,20 @@ class ProgressReader:
             return splat_labels(decoding, options.min_confidence)
 
         return taxonomy, decode
+
+
+def _scene_graph(
+    taxonomy: Taxonomy, arrays: dict[str, NDArray], values: dict[str, Any]
+) -> dict[str, Any] | None:
+    """The graph of a growing scene, whose arrays are joined in snapshots."""
+    if "scene" not in values:
+        return None
+    own = arrays_below(arrays, "scene/")
+    if "scene_index" in values:
+        own = JoinedArrays(own, values["scene_index"]).split()
+    scene = GrowingScene(taxonomy)
+    scene.restore(own, values["scene"])
+    return scene.content()
 
 
 def read_serial(slot: Path) -> int | None:

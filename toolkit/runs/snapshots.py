@@ -1,7 +1,8 @@
 """Snapshots of a run in progress: the part of its state that viewers show.
 
     live/watched   touched by viewers while they follow the run
-    live/snapshot  the newest snapshot, in the layout of a checkpoint
+    live/snapshot  the newest snapshot, in the layout of a checkpoint, but the arrays of the scene
+                   graph are joined
 
 A run that nobody watches writes nothing.
 """
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import PARAMETERS
-from toolkit.io.arrays import write_array_tree
+from toolkit.io.arrays import JoinedArrays, write_array_tree
 from toolkit.io.images import small_image
 from toolkit.keyframe import Keyframe
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
@@ -160,7 +161,7 @@ class SnapshotWriter:
         if atlas.has_active_submap:
             keyframes = [{"index": k.index, "camera": asdict(k.camera)} for k in atlas.keyframes]
             stored_and_active["active"] = {"number": atlas.active, "keyframes": keyframes}
-        return arrays, {
+        values: dict[str, Any] = {
             "atlas": stored_and_active,
             "path": {
                 "tracked": [
@@ -169,6 +170,12 @@ class SnapshotWriter:
                 "lost_frames": list(path.lost_frames.items()),
             },
         }
+        if slam.scene is not None:
+            own, values["scene"] = slam.scene.state()
+            joined = JoinedArrays.join(own)
+            arrays |= {f"scene/{dtype}": array for dtype, array in joined.arrays.items()}
+            values["scene_index"] = joined.index
+        return arrays, values
 
     def _image(self, keyframe: Keyframe) -> NDArray[np.uint8]:
         """Image [3, h, w] of a keyframe, which is reduced only once."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,14 @@ from toolkit.errors import FormatError
 from toolkit.frame import Frame
 from toolkit.semantics.segmenters.segmenter import Segmenter
 from toolkit.semantics.taxonomy import VOID, Taxonomy
+
+
+class IgnoredPixels(Protocol):
+    """Finds what else is to be ignored in a frame, beside classes of labels."""
+
+    def pixels(self, frame: Frame, ignored: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the pixels [H, W] to ignore, with those of ignored labels [H, W]."""
+        ...
 
 
 class Labeller:
@@ -23,6 +32,9 @@ class Labeller:
         ignored: ids of the classes to exclude from tracking and mapping, for instance people;
             the depth of their pixels is removed.
         source: name of the segmenter's vocabulary in errors.
+
+    Attributes:
+        others: finds what else is ignored; None for nothing.
 
     Raises:
         FormatError: the taxonomy lacks a class of the segmenter.
@@ -40,11 +52,17 @@ class Labeller:
         self._ignored = np.zeros(len(taxonomy) + 1, bool)
         self._ignored[list(ignored)] = True
         self._source = source
+        self.others: IgnoredPixels | None = None
 
     @property
     def every_frame(self) -> bool:
         """Whether every frame needs labels before tracking, not only keyframes."""
-        return bool(self._ignored.any())
+        return self.others is not None or bool(self._ignored.any())
+
+    @property
+    def ignored_classes(self) -> list[str]:
+        """Names of the classes to exclude."""
+        return [self.taxonomy.classes[i - 1] for i in np.flatnonzero(self._ignored)]
 
     def label(self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None) -> Frame:
         """Return the frame with labels of the taxonomy and without depth at ignored pixels.
@@ -65,8 +83,16 @@ class Labeller:
         if not self.every_frame:
             return replace(frame, labels=labels)
         ignored = self._ignored[labels]
-        return replace(
-            frame,
-            labels=np.where(ignored, VOID, labels).astype(np.int32),
-            depth_m=np.where(ignored, 0.0, frame.depth_m).astype(np.float32),
-        )
+        if self.others is not None:
+            ignored = self.others.pixels(frame, ignored)
+        return without_pixels(replace(frame, labels=labels), ignored)
+
+
+def without_pixels(frame: Frame, pixels: NDArray[np.bool_]) -> Frame:
+    """Return a frame without depth and labels at some pixels [H, W]."""
+    labels = frame.labels
+    return replace(
+        frame,
+        labels=None if labels is None else np.where(pixels, VOID, labels).astype(np.int32),
+        depth_m=np.where(pixels, 0.0, frame.depth_m).astype(np.float32),
+    )

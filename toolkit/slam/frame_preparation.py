@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from toolkit.depth_priors.correction import RenderedDepth
 from toolkit.frame import Frame, Recorder
 from toolkit.mapping.mapper import Mapper
-from toolkit.semantics.labeller import Labeller
+from toolkit.semantics.labeller import IgnoredPixels, Labeller, without_pixels
 from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
@@ -30,10 +30,13 @@ class FrameSources:
     Attributes:
         labeller: segments frames; None for a map without semantics.
         denoise: filter the depth of each frame according to its noise.
+        ignored: finds what is neither tracked against nor mapped without labels; with labels, the
+            labeller finds it.
     """
 
     labeller: Labeller | None = None
     denoise: bool = True
+    ignored: IgnoredPixels | None = None
 
 
 class FramePreparation:
@@ -64,6 +67,7 @@ class FramePreparation:
             assert isinstance(tracker, MovingTracker), "a trajectory needs no depth"
             self._predicting = tracker
         self._filter = DepthFilter() if sources.denoise else None
+        self._ignored = sources.ignored
         labeller, tracks_labels = sources.labeller, tracker.wants_labels
         # All frames are labelled before they are tracked, not only keyframes.
         self._labels_first = labeller is not None and (labeller.every_frame or tracks_labels)
@@ -80,6 +84,7 @@ class FramePreparation:
         frame = self._denoised(frame)
         if self._labels_first:
             frame = self._segmented(frame, None)
+        frame = self._without_ignored(frame)
         if self.correction is None:
             return frame
         if self._atlas.keyframes:
@@ -128,7 +133,9 @@ class FramePreparation:
         if velocity is not None:
             with self._recorder.timed(Stage.RECTIFICATION):
                 again = rectified(observed, velocity)
-            images = self._denoised(again)
+            images = self._without_ignored(self._denoised(again))
+            if self.labeller is not None and self.labeller.every_frame:
+                return self._segmented(images, T_map_camera)  # what is ignored has no depth
             frame = replace(images, labels=frame.labels if self._labels_first else images.labels)
         return self.labelled(frame, T_map_camera)
 
@@ -143,6 +150,14 @@ class FramePreparation:
         if velocity is None and len(self._path.indices) < 2 and not self._path.lost_frames:
             return self._start_velocity
         return velocity
+
+    def _without_ignored(self, frame: Frame) -> Frame:
+        """A frame without depth where a run without labels ignores something."""
+        if self._ignored is None:
+            return frame
+        nothing = np.zeros(frame.depth_m.shape, bool)
+        with self._recorder.timed(Stage.LABELLING):
+            return without_pixels(frame, self._ignored.pixels(frame, nothing))
 
     def _denoised(self, frame: Frame, measured: bool = True) -> Frame:
         if self._filter is None:

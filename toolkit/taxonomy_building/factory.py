@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 
+from toolkit.errors import FormatError
 from toolkit.semantics.factory import build_segmenter
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.lexicon.matching import selected_nodes
@@ -43,6 +44,7 @@ def build_labeller(
     source: SegmenterOptions,
     names: Mapping[int, str] | None,
     stems: Sequence[str] | None = None,
+    unmatched: dict[str, FormatError] | None = None,
 ) -> Labeller | None:
     """Build the labeller of a dataset's frames; None for a map without semantics.
 
@@ -50,6 +52,8 @@ def build_labeller(
         options: options of semantics.
         source: source of the labels.
         names, stems: see `build_segmenter`.
+        unmatched: receives the texts of `ignore` that mean no class, with the reasons; by default,
+            they are errors.
 
     Raises:
         ToolkitError: see `build_segmenter` and `choose_taxonomy`; or the tree lacks a class, or a
@@ -59,16 +63,24 @@ def build_labeller(
         return None
     segmenter = build_segmenter(source, names, stems)
     taxonomy = choose_taxonomy(options.taxonomy, segmenter.class_names)
-    return Labeller(
-        segmenter, taxonomy, _ignored_classes(options.ignore, taxonomy), f"{source.kind} labels"
-    )
+    ignored = _ignored_classes(options.ignore, taxonomy, unmatched)
+    return Labeller(segmenter, taxonomy, ignored, f"{source.kind} labels")
 
 
-def _ignored_classes(names: Sequence[str], taxonomy: Taxonomy) -> list[int]:
+def _ignored_classes(
+    names: Sequence[str], taxonomy: Taxonomy, unmatched: dict[str, FormatError] | None
+) -> list[int]:
     """Return the ids of the classes that names and nouns of --semantics.ignore mean."""
     shown = ", ".join(taxonomy.classes[:_SHOWN])
     more = f" and {len(taxonomy) - _SHOWN} more" if len(taxonomy) > _SHOWN else ""
-    nodes = selected_nodes(names, taxonomy, f"its classes are {shown}{more}")
+    nodes = []
+    for name in names:
+        try:
+            nodes += selected_nodes([name], taxonomy, f"its classes are {shown}{more}")
+        except FormatError as error:
+            if unmatched is None:
+                raise
+            unmatched[name] = error
     if nodes:
         _log.info("Not tracked against or mapped: %s.", ", ".join(node.name for node in nodes))
     return [i for node in nodes for i in node.class_ids]

@@ -13,6 +13,7 @@ from toolkit.viewer.keyframes import spread
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.reading import loops_between, read_scene, upright
 from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene, path_states
+from toolkit.viewer.shown_objects import graph_objects
 
 
 class LiveRun:
@@ -77,6 +78,7 @@ class LiveRun:
                 self._reader.folder.loops,
                 {i: T[:3, 3] for i, T in zip(progress.indices, poses, strict=True)},
             ),
+            objects=() if progress.graph is None else graph_objects(progress.graph),
         )
 
 

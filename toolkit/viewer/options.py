@@ -20,4 +20,5 @@ class ShownContent:
     """Maximum width of keyframe images, in pixels."""
     graph: bool = False
     """Show the scene graph of a labelled map as a tree of rooms and objects, whose entries mark the
-    object in the view. Only in the page of `semsplat export`."""
+    object in the view. Only in the page of `semsplat export`; `semsplat view` shows the graph of
+    runs with --scene.graph."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +17,20 @@ from toolkit.io.label_files import label_file_of
 from toolkit.io.splats import Splats, is_splat_file, read_splats
 from toolkit.loops.log import read_loop_log
 from toolkit.runs.finished import FinishedRun
+from toolkit.runs.folder import RunFolder
 from toolkit.semantics.query import check_labels
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.viewer.keyframes import shown_keyframes
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.scene import ShownLoop, ShownSplats, ShownTree, ViewerScene, path_states
 from toolkit.viewer.shapes import shape_columns
+from toolkit.viewer.shown_objects import read_graph_objects
 
 
 def read_scene(path: Path, content: ShownContent, whole: bool = False) -> ViewerScene:
     """Describe what a viewer shows of a finished run or of a splat file.
+
+    The objects are those of the scene graph that grew during the run, if it kept one.
 
     Args:
         path: run folder, or a splat file.
@@ -33,10 +38,12 @@ def read_scene(path: Path, content: ShownContent, whole: bool = False) -> Viewer
         whole: return all Gaussians, in the order of the map, whatever their maximum number.
 
     Raises:
-        ToolkitError: there is no finished run, or the file is not a splat file.
+        ToolkitError: there is no finished run, one of its files is damaged, or the file is not a
+            splat file.
     """
     if not is_splat_file(path) and path.exists():
-        return run_scene(select(path), content, whole)
+        scene = run_scene(select(path), content, whole)
+        return replace(scene, objects=read_graph_objects(RunFolder(path).scene_graph))
     if not path.exists():
         raise RunFolderError(f"{path} does not exist; give a run folder or a splat file")
     scene = file_scene(path)

@@ -193,6 +193,7 @@ class ShownObject:
     """An object of the scene graph.
 
     Attributes:
+        number: its number in the scene graph; while a run continues, an object keeps it.
         name: its class and number.
         room: name of its room, empty if it is in none.
         corners_m: [8, 3] corners of its box; corner i is at the upper end of axis a if bit a of i
@@ -200,6 +201,7 @@ class ShownObject:
         relations: lines about its relations.
     """
 
+    number: int
     name: str
     room: str
     corners_m: NDArray[np.float64]

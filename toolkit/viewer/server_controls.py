@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.viewer.colouring import CLASSES, COLOUR, LegendRow, colour_modes, legend
+from toolkit.viewer.object_tree import ObjectTree
 from toolkit.viewer.picking import pick
 from toolkit.viewer.scene import ShownKeyframe, ViewerScene
 from toolkit.viewer.server_scene import ServerScene
@@ -31,6 +32,7 @@ class Controls:
         self._keyframe: ShownKeyframe | None = None
         self._layers: dict[str, Any] = {}
         self._add_widgets(highlight)
+        self._objects = ObjectTree(server, view)
         view.keyframe_clicked = self._show_keyframe
         server.scene.on_click()(self._clicked)
         self._repaint()
@@ -47,6 +49,7 @@ class Controls:
             chosen = self._mode.value
             self._mode.options = modes
             self._mode.value = chosen if chosen in modes else COLOUR
+        self._objects.update()
         self._repaint()
 
     def _add_widgets(self, highlight: str) -> None:

@@ -12,10 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from toolkit.geometry.camera import Camera
 from toolkit.viewer.colouring import COLOUR, appearance
-from toolkit.viewer.scene import ShownKeyframe, ViewerScene
+from toolkit.viewer.scene import ShownKeyframe, ShownObject, ViewerScene
 
-_LOOP_RGB, _FRUSTUM_RGB = (255, 92, 82), (92, 158, 255)
-_PATH_PIXELS, _LOOP_PIXELS, _FRUSTUM_PIXELS = 2.0, 3.0, 1.5
+_LOOP_RGB, _FRUSTUM_RGB, _MARK_RGB = (255, 92, 82), (92, 158, 255), (255, 204, 51)
+_PATH_PIXELS, _LOOP_PIXELS, _FRUSTUM_PIXELS, _MARK_PIXELS = 2.0, 3.0, 1.5, 3.0
+# Corners of a box that differ in one axis are connected.
+_BOX_EDGES = [(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit]
 _BACKGROUND_RGB = (13, 16, 21)
 # Length of a frustum relative to the diagonal of the map, and its limits in metres.
 _FRUSTUM, _FRUSTUM_M = 0.009, (0.03, 0.3)
@@ -38,6 +40,7 @@ class ServerScene:
         self.shown = {"path": True, "keyframes": True, "loops": True}
         self.keyframe_clicked: KeyframeClicked = lambda _keyframe, _client: None
         self._nodes: dict[str, list[Any]] = {name: [] for name in self.shown}
+        self._mark: list[Any] = []
         server.scene.set_up_direction(tuple(map(float, scene.up)))
         server.scene.set_background_image(np.full((1, 1, 3), _BACKGROUND_RGB, np.uint8))
         self._set_first_view()
@@ -76,6 +79,27 @@ class ServerScene:
         with client.atomic():
             client.camera.position = T[:3, 3]
             client.camera.look_at = T[:3, 3] + T[:3, 2]
+
+    def mark(self, chosen: ShownObject | None) -> None:
+        """Draw the box of an object with its name, instead of the one before; None for none."""
+        with self.server.atomic():
+            for node in self._mark:
+                node.remove()
+            self._mark = []
+            if chosen is not None:
+                edges = chosen.corners_m[np.array(_BOX_EDGES)]
+                top = chosen.corners_m[np.argsort(chosen.corners_m @ self.scene.up)[4:]]
+                label = self.server.scene.add_label(
+                    "/object/name",
+                    chosen.name,
+                    position=top.mean(axis=0),
+                    anchor="bottom-center",
+                )
+                self._mark = [self._lines("/object/box", edges, _MARK_RGB, _MARK_PIXELS), label]
+
+    def look_at(self, chosen: ShownObject, client: Any) -> None:
+        """Turn the camera of a client to an object."""
+        client.camera.look_at = chosen.corners_m.mean(axis=0)
 
     def _set_first_view(self) -> None:
         """Start outside of the map and above it."""
@@ -119,7 +143,8 @@ class ServerScene:
     def _frustum_node(self, keyframe: ShownKeyframe, camera: Camera, length_m: float) -> Any:
         T = keyframe.T_map_camera
         node = self.server.scene.add_camera_frustum(
-            f"/keyframes/{keyframe.index}",
+            # A frame that ends one submap and starts the next one is a keyframe of both.
+            f"/keyframes/{keyframe.submap}/{keyframe.index}",
             fov=2.0 * math.atan2(camera.height / 2.0, camera.fy),
             aspect=camera.width / camera.height,
             scale=length_m,

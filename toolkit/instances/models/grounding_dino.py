@@ -61,6 +61,10 @@ class GroundingDinoMasks:
             )
         self._inputs = self._inputs.to(self._device)
 
+    def class_names(self) -> set[str]:
+        """Return the words that are searched."""
+        return set(self._words)
+
     @torch.inference_mode()
     def masks(self, keyframe: Keyframe) -> InstanceMasks:
         """Return the masks of a keyframe."""

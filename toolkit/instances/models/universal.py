@@ -55,6 +55,10 @@ class UniversalMasks:
             for i, name in config.id2label.items()
         }
 
+    def class_names(self) -> set[str]:
+        """Return the names of the model's classes."""
+        return {name for name in self._names.values() if name is not None}
+
     @torch.inference_mode()
     def masks(self, keyframe: Keyframe) -> InstanceMasks:
         """Return the visible masks of a keyframe.
