@@ -26,6 +26,8 @@ class Frame:
         labels: [H, W] int32 class ids, 0 void, or None.
         inferred: [H, W] bool, where the depth was neither measured nor triangulated but follows
             from a depth prior; None if it does nowhere.
+        ignored: [H, W] bool, what is neither tracked against nor mapped; its depth is missing. None
+            if everything is.
         readout_s: time in seconds from the exposure of the first row to that of the last, of both
             images; 0 for a global shutter.
         fault: why its files could not be read; empty if they could. The images are black and
@@ -42,6 +44,7 @@ class Frame:
     camera: Camera
     labels: NDArray[np.int32] | None = None
     inferred: NDArray[np.bool_] | None = None
+    ignored: NDArray[np.bool_] | None = None
     readout_s: float = 0.0
     fault: str = ""
 
@@ -52,6 +55,7 @@ class Frame:
             ("depth_m", self.depth_m, (height, width), np.float32),
             ("labels", self.labels, (height, width), np.int32),
             ("inferred", self.inferred, (height, width), np.bool_),
+            ("ignored", self.ignored, (height, width), np.bool_),
         ):
             if image is None:
                 continue

@@ -78,7 +78,8 @@ class Keyframe:
             is neutral. `exposure.balance` is neutral for small ones.
         balance_links: [L, 5] float64 differences of white balance to earlier keyframes: frame
             index, log gains and weight; None before they are estimated.
-        transient: [H, W] bool, where a moving object hides the scene, or None; see `hide`.
+        transient: [H, W] bool, where something hides the scene that is not mapped: what the frame
+            ignores, and moving objects; or None. See `hide`.
         observed_m: [H, W] float32 depth with that of moving objects; None without any.
     """
 
@@ -164,6 +165,7 @@ class Keyframe:
             points=_sparse(frame.camera, frame.depth_m),
             class_ids=_tensor(None if frame.labels is None else frame.labels.astype(np.int16)),
             inferred=_tensor(frame.inferred),
+            transient=_tensor(frame.ignored),
         )
 
     def hide(self, transient: Tensor) -> None:
@@ -171,7 +173,8 @@ class Keyframe:
 
         Losses of colour leave out the mask as well; the colour itself is kept.
         """
-        self.transient, self.observed_m = transient, self.depth_m
+        ignored, self.observed_m = self.transient, self.depth_m
+        self.transient = transient if ignored is None else transient | ignored
         self.depth_m = self.depth_m.masked_fill(transient, 0.0)
         if self.class_ids is not None:
             self.class_ids = self.class_ids.masked_fill(transient, 0)

@@ -79,6 +79,24 @@ def test_views_beside_moving_objects_are_left_out(hidden_in: int) -> None:
     assert set(drawn(compared, 12)) == {0, 5, 10, 11}, "20 is no keyframe"
 
 
+def test_what_is_ignored_hides_the_scene_in_keyframes_and_views() -> None:
+    ignored = np.zeros((32, 48), bool)
+    ignored[10:20, 5:17] = True
+    keyframes = [Keyframe.from_frame(replace(frame(n), ignored=ignored), np.eye(4)) for n in (0, 5)]
+    between = IntermediateView.of(
+        replace(frame(2), ignored=ignored), 0, _T_KEYFRAME_CAMERA, Exposure()
+    )
+    saved = IntermediateView.from_state(between.arrays(), between.values())
+    compared = ComparedViews(keyframes, [saved], np.random.default_rng(0))
+    assert set(drawn(compared, 6)) == {0, 2, 5}
+    for shown in (*keyframes, saved.opened(keyframes[0])):
+        np.testing.assert_array_equal(shown.transient, ignored)
+    moving = torch.zeros(32, 48, dtype=torch.bool)
+    moving[0, 0] = True
+    keyframes[0].hide(moving)
+    np.testing.assert_array_equal(keyframes[0].transient, ignored | moving.numpy())
+
+
 def test_a_view_that_contradicts_the_map_is_not_compared_again() -> None:
     views = ComparedViews([keyframe(0)], [view(1, 0), view(2, 0)], np.random.default_rng(0))
     for index, loss in ((0, 0.1), (1, 0.15), (2, 0.9)):

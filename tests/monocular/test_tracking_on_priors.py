@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from toolkit.depth_priors.provider import (
 from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.io.images import write_png
 from toolkit.monocular.sequence import prior_correction
 from toolkit.options import as_plain, validated
 from toolkit.runs.building import build_slam
@@ -75,12 +77,17 @@ def room() -> Room:
     return Room()
 
 
-def system(room: Room, tracker: str, missing: int = -1) -> tuple[Slam, ImagesOnly]:
+def system(
+    room: Room, tracker: str, missing: int = -1, masks: Path | None = None
+) -> tuple[Slam, ImagesOnly]:
     values = as_plain(load_settings(preset="hier-slam-mono"))
     values["semantics"]["code"]["kind"] = "none"
     values["mapping"] |= {"first_iterations": 12, "iterations": 4}
     values["tracking"]["kind"] = tracker
     values["tracking"]["first_order"]["iterations"] = 25
+    if masks is not None:
+        values["instances"] |= {"kind": "folder", "path": masks}
+        values["semantics"]["ignore"] = ["robot"]
     images = ImagesOnly(room)
     provider = ScaledTruth(room, missing)
     correction = prior_correction(images, provider, OPTIONS, needs_reference=False)
@@ -108,3 +115,17 @@ def test_a_frame_without_a_prior_is_lost_and_the_next_one_is_tracked(room, track
     results = [slam.process_frame(images[index]) for index in range(5)]
     assert [result.lost for result in results] == [False, False, False, True, False]
     assert "0 pixels have depth" in results[3].reason
+
+
+def test_priors_give_no_depth_to_what_is_ignored(room, tmp_path):
+    ids = np.zeros((60, 80), np.uint8)
+    ids[:, :30] = 1
+    for index in range(FRAMES):
+        write_png(tmp_path / f"{index:06d}.png", ids)
+        np.savez(tmp_path / f"{index:06d}.npz", ids=[1], classes=["robot"])
+    slam, images = system(room, "dense", masks=tmp_path)
+    assert not any(slam.process_frame(images[index]).lost for index in range(6))
+    assert len(slam.atlas.keyframes) > 1
+    for keyframe in slam.atlas.keyframes:
+        np.testing.assert_array_equal(keyframe.transient, ids == 1)
+        assert not keyframe.depth_m[:, :30].any() and (keyframe.depth_m[:, 30:] > 0).all()

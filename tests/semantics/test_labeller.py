@@ -49,6 +49,7 @@ def test_what_is_ignored_has_neither_label_nor_depth(tree):
     labelled = labeller.label(frame())
     assert labelled.labels.tolist() == [[0, bed, 0, 0]] * 2
     assert labelled.depth_m.tolist() == [[0.0, 2.0, 2.0, 0.0]] * 2
+    assert labelled.ignored.tolist() == [[True, False, False, True]] * 2
 
 
 @pytest.mark.parametrize("wrong", [4, 77, -1])

@@ -37,7 +37,7 @@ class ComparedViews:
         still = {
             keyframe.index
             for place, keyframe in enumerate(keyframes)
-            if all(near.transient is None for near in keyframes[place : place + 2])
+            if all(near.observed_m is None for near in keyframes[place : place + 2])
         }
         self._views = {view.index: view for view in views if view.keyframe in still}
         self._generator = generator

@@ -124,8 +124,9 @@ class IntermediateFrames:
         values = []
         for number, between in enumerate(self._frames):
             frame = between.frame
-            images = {"rgb": frame.rgb, "depth_m": frame.depth_m, "labels": frame.labels}
-            named = {**images, "T_keyframe_camera": between.T_keyframe_camera}
+            names = ("rgb", "depth_m", "labels", "ignored")
+            named = {name: getattr(frame, name) for name in names}
+            named["T_keyframe_camera"] = between.T_keyframe_camera
             arrays |= {f"{number}/{name}": a for name, a in named.items() if a is not None}
             values.append(
                 {

@@ -89,10 +89,14 @@ class Labeller:
 
 
 def without_pixels(frame: Frame, pixels: NDArray[np.bool_]) -> Frame:
-    """Return a frame without depth and labels at some pixels [H, W]."""
+    """Return a frame that is ignored at some pixels [H, W], without depth and labels there."""
+    if not pixels.any():
+        return frame
     labels = frame.labels
     return replace(
         frame,
         labels=None if labels is None else np.where(pixels, VOID, labels).astype(np.int32),
         depth_m=np.where(pixels, 0.0, frame.depth_m).astype(np.float32),
+        inferred=None if frame.inferred is None else frame.inferred & ~pixels,
+        ignored=pixels,
     )

@@ -95,7 +95,7 @@ class FramePreparation:
         # The first map follows from the prior alone.
         with self._recorder.timed(Stage.DEPTH_PRIOR):
             started = self.correction.start(frame)
-        return self._denoised(started, measured=False)
+        return _still_ignored(self._denoised(started, measured=False))
 
     def for_mapping(self, frame: Frame, T_map_camera: Array) -> Frame:
         """A tracked frame as it may be mapped: with the depth of its prior, aligned with the map.
@@ -116,7 +116,7 @@ class FramePreparation:
         with self._recorder.timed(Stage.DEPTH_PRIOR):
             view = self._mapper.render(self._atlas.gaussians, frame.camera, T_map_camera)
             corrected = self.correction.correct(frame, RenderedDepth.of(view), final)
-        return self._denoised(corrected, measured=False)
+        return _still_ignored(self._denoised(corrected, measured=False))
 
     def as_keyframe(self, observed: Frame, frame: Frame, T_map_camera: Array) -> Frame:
         """A frame that becomes a keyframe: rectified by its own velocity, and labelled.
@@ -181,3 +181,8 @@ class FramePreparation:
         """Restore an earlier `state`."""
         if self.labeller is not None:
             self.labeller.segmenter.restore(dict(state))
+
+
+def _still_ignored(frame: Frame) -> Frame:
+    """A frame without the depth that a prior has given to what is ignored."""
+    return frame if frame.ignored is None else without_pixels(frame, frame.ignored)

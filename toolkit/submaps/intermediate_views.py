@@ -38,6 +38,7 @@ class IntermediateView:
         camera: intrinsics.
         jpeg: [B] uint8, the colour image as a JPEG file.
         depth_m: [H, W] float16 measured depth, 0 where missing; its error is 0.5 mm at 2 m.
+        ignored: [B] uint8, packed bits of the pixels that are not mapped; None if all are.
     """
 
     index: int
@@ -48,6 +49,7 @@ class IntermediateView:
     camera: Camera
     jpeg: NDArray[np.uint8]
     depth_m: NDArray[np.float16]
+    ignored: NDArray[np.uint8] | None = None
 
     @classmethod
     def of(
@@ -71,6 +73,7 @@ class IntermediateView:
             frame.camera,
             cv2.imencode(".jpg", cv2.cvtColor(levels, cv2.COLOR_RGB2BGR), _JPEG)[1].reshape(-1),
             depth_m.astype(np.float16),
+            None if frame.ignored is None else np.packbits(frame.ignored),
         )
 
     def opened(self, keyframe: Keyframe) -> Keyframe:
@@ -79,6 +82,11 @@ class IntermediateView:
         Args:
             keyframe: the one before it, whose pose and white balance may have changed since.
         """
+        transient = None
+        if self.ignored is not None:
+            shape = self.depth_m.shape
+            bits = np.unpackbits(self.ignored, count=shape[0] * shape[1])
+            transient = torch.from_numpy(bits.reshape(shape).astype(bool))
         pixels = cv2.cvtColor(cv2.imdecode(self.jpeg, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
         return Keyframe(
             self.index,
@@ -89,14 +97,17 @@ class IntermediateView:
             self.camera,
             self.exposure.with_balance(keyframe.exposure.balance),
             np.zeros((0, 3), np.float32),
+            transient=transient,
         )
 
     def arrays(self) -> dict[str, NDArray]:
         """Arrays of a checkpoint."""
+        ignored = {} if self.ignored is None else {"ignored": self.ignored}
         return {
             "T_keyframe_camera": self.T_keyframe_camera,
             "jpeg": self.jpeg,
             "depth_m": self.depth_m,
+            **ignored,
         }
 
     def values(self) -> dict[str, Any]:
@@ -123,4 +134,5 @@ class IntermediateView:
             Camera(**values["camera"]),
             np.array(arrays["jpeg"]),
             np.array(arrays["depth_m"]),
+            np.array(arrays["ignored"]) if "ignored" in arrays else None,
         )
