@@ -11,7 +11,7 @@ from toolkit.viewer.scene import ShownObject
 
 
 def shown_objects(scene: MappedScene) -> tuple[ShownObject, ...]:
-    """Return the objects in rooms, by room and then by their numbers in the scene graph."""
+    """Return the objects in rooms, by storey, room and their numbers in the scene graph."""
     names = [f"{found.node.name} {number}" for number, found in enumerate(scene.objects)]
     lines: dict[int, list[str]] = {}
     for relation in scene.relations:
@@ -26,8 +26,11 @@ def shown_objects(scene: MappedScene) -> tuple[ShownObject, ...]:
             continue
         box = found.box
         corners = box.centre_m + (signs * box.size_m) @ box.axes.T
-        room = next(iter(scene.rooms_of(number)), len(scene.space.rooms))
-        name = f"room {room + 1}" if room < len(scene.space.rooms) else ""
+        room = next(iter(scene.rooms_of(number)), len(scene.building.rooms))
+        name = f"room {room + 1}" if room < len(scene.building.rooms) else ""
+        level = scene.storeys[number][0]
+        storey = f"storey {level + 1}" if len(scene.building.spaces) > 1 else ""
         related = tuple(lines.get(number, ()))
-        rows.append((room, number, ShownObject(names[number], name, corners, related)))
-    return tuple(one for _, _, one in sorted(rows, key=lambda row: row[:2]))
+        one = ShownObject(names[number], name, corners, related, storey)
+        rows.append((level, room, number, one))
+    return tuple(one for *_, one in sorted(rows, key=lambda row: row[:3]))
