@@ -169,8 +169,9 @@ def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> Sel
 def ground_of(run: FinishedRun, names: Sequence[str] = ()) -> Ground | None:
     """Return the floor of a run, or None if it cannot be determined.
 
-    It is fitted to the Gaussians of floor classes, of the lowest storey if there are several. Without labels, or if no floor is labelled, it
-    is the lowest full layer of Gaussians below the cameras, which are assumed to be held upright.
+    It is fitted to the Gaussians of floor classes, of the lowest storey if there are several.
+    Without labels, or if no floor is labelled, it is the lowest full layer of Gaussians below the
+    cameras, which are assumed to be held upright.
 
     Args:
         names: classes and groups of the floor instead of the common names.

@@ -26,6 +26,8 @@ PIXEL_M = 0.02
 _DISC_SIGMAS = 1.5
 _MAX_DISC = 6
 _MARGIN = 12
+# Height of the titles of storeys.
+_TITLE = 32
 # Small maps are enlarged to this width, and the map is thinned out beyond this size.
 _MIN_WIDTH, _MAX_SIDE = 480, 3000
 _MIN_AREA_M2 = 0.02
@@ -253,9 +255,7 @@ def draw_floor_plans(
     images = []
     for number, plan in enumerate(plans):
         image = _drawn(plan, palette, names, drawings[number] if drawings else None)
-        if len(plans) > 1:
-            _write(image, f"storey {number + 1}", (8, 24))
-        images.append(image)
+        images.append(image if len(plans) == 1 else _titled(image, f"storey {number + 1}"))
     image = np.concatenate(images, axis=1)
     if not legend:
         return image
@@ -265,6 +265,12 @@ def draw_floor_plans(
         LegendEntry(f"{a.name} {a.area_m2:.2f} {names.area}", a.colour) for a in total_areas(plans)
     ]
     return with_legend(image, entries)
+
+
+def _titled(image: RgbImage, title: str) -> RgbImage:
+    band = np.full((_TITLE, image.shape[1], 3), _BACKGROUND, np.uint8)
+    _write(band, title, (_MARGIN, _TITLE - 8))
+    return np.concatenate([band, image])
 
 
 def _drawn(

@@ -209,7 +209,7 @@ def _upwards(normal: Array, floor_m: Array, others_m: Array) -> Array:
     """Return the normal or its opposite: nothing lies below the lowest floor."""
     levels_m = find_storeys(floor_m @ normal, 0.0).heights_m
     others = others_m @ normal
-    ahead = int((others > levels_m[-1]).sum()) - int((others < levels_m[0]).sum())
-    if ahead == 0:
+    ahead = float((others > levels_m[-1]).sum()) - float((others < levels_m[0]).sum())
+    if ahead == 0.0:
         ahead = float(others.mean() - (floor_m @ normal).mean())
     return normal if ahead >= 0 else -normal

@@ -1,0 +1,127 @@
+"""Rooms, graph, paths and plans of a map of two storeys."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from layout_run import T_MAP_WORLD, write_run
+from two_storeys import AREAS_M2, DOOR_M, STOREY_M, VISITED, cameras, points_of
+
+from toolkit.exports.mapped_scene import MappedScene, map_scene
+from toolkit.exports.options import ObjectGraphOptions, PlanOptions
+from toolkit.exports.plans import export_floor_plan
+from toolkit.exports.scene_graph import scene_graph
+from toolkit.exports.selection import select
+from toolkit.geometry import se3
+from toolkit.io.images import read_rgb
+from toolkit.semantics.paths import NoPathError
+from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
+from toolkit.viewer.shown_objects import shown_objects
+
+OPTIONS = ObjectGraphOptions(link_m=0.2, min_gaussians=20)
+
+
+def written(folder, storeys):
+    parts = [part for storey in storeys for part in points_of(storey).items()]
+    ids = [np.full(len(points), CLASS_IDS[name], np.int32) for name, points in parts]
+    points = np.concatenate([points for _, points in parts])
+    poses = cameras()
+    return write_run(folder, points, np.concatenate(ids), poses, spacing_m=0.12)
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    return written(tmp_path_factory.mktemp("house") / "run", (0, 1))
+
+
+@pytest.fixture(scope="module")
+def scene(house) -> MappedScene:
+    return map_scene(select(house), OPTIONS)
+
+
+def numbers(scene: MappedScene, name: str) -> list[int]:
+    """The objects of a class, the lowest first."""
+    found = [k for k, one in enumerate(scene.objects) if one.node.name == name]
+    return sorted(found, key=lambda k: scene.objects[k].box.centre_m @ scene.ground.up)
+
+
+def test_rooms_of_storeys_do_not_mix_and_are_numbered_by_first_visit(scene):
+    rooms = scene.building.rooms
+    assert [storey for storey, _ in rooms.order] == [0, 1, 1, 0]
+    described = [scene.describe_room(k) for k in range(len(rooms))]
+    assert [room["area_m2"] for room in described] == pytest.approx(AREAS_M2, rel=0.15)
+    assert [door.rooms for door in rooms.doors] == [(0, 3), (1, 2)]
+    assert [door.width_m for door in rooms.doors] == pytest.approx([DOOR_M] * 2, abs=0.25)
+    assert [room["doors"][0]["to_room"] for room in described] == [4, 3, 2, 1]
+    for number, (x, y, storey) in enumerate(VISITED):
+        place = np.array([[x, y, storey * STOREY_M]])
+        cell = scene.building.spaces[storey].grid.cells_of(
+            se3.transform_points(T_MAP_WORLD, place)
+        )
+        assert rooms.numbers_of(storey)[tuple(cell[0])] == number
+
+
+def test_the_graph_leads_from_the_building_to_storeys_rooms_and_objects(scene):
+    content = scene_graph(scene).content
+    nodes = {node["id"]: node for node in content["nodes"]}
+    assert list(nodes) == list(range(len(nodes)))
+    assert np.diff(content["graph"]["storeys_m"]) == pytest.approx([STOREY_M], abs=0.05)
+    above = {}
+    for edge in content["edges"]:
+        if nodes[edge["target"]]["kind"] in ("room", "storey", "building"):
+            above.setdefault(edge["source"], []).append((edge["relation"], edge["target"]))
+    for (kind, name), storey in zip(
+        [("table", 2), ("table", 1), ("lamp", 2), ("lamp", 1)], (1, 0, 1, 0), strict=True
+    ):
+        del name
+        number = numbers(scene, kind)[storey]
+        ((relation, room),) = above[number]
+        assert relation == "in" and nodes[number]["storey"] == nodes[room]["storey"] == storey + 1
+        ((relation, level),) = [up for up in above[room] if up[0] == "part of"]
+        assert nodes[level]["name"] == f"storey {storey + 1}"
+        ((relation, top),) = above[level]
+        assert nodes[top]["kind"] == "building"
+    ceilings = [nodes[k]["storey"] for k in numbers(scene, "ceiling")]
+    assert ceilings == [1, 2]
+
+
+def test_relations_stay_on_one_storey(scene):
+    for relation in scene.relations:
+        ends = scene.storeys[relation.source], scene.storeys[relation.target]
+        assert set(ends[0]) & set(ends[1]), relation
+    floors = numbers(scene, "floor")
+    for storey, table in enumerate(numbers(scene, "table")):
+        on = [r.target for r in scene.relations if (r.source, r.kind) == (table, "on")]
+        assert on == [floors[storey]]
+
+
+def test_paths_stay_on_one_storey(scene):
+    tables, lamps = numbers(scene, "table"), numbers(scene, "lamp")
+    up = scene.ground.up
+    for storey in (0, 1):
+        path = scene.path(scene.place(lamps[storey]), scene.place(tables[storey]), 0.4)
+        heights_m = path.points_m @ up - scene.building.floors.storeys.heights_m[storey]
+        np.testing.assert_allclose(heights_m, 0.0, atol=1e-6)
+    said = f"table {tables[0]} is on storey 1 and lamp {lamps[1]} is on storey 2"
+    with pytest.raises(NoPathError, match=said):
+        scene.path(scene.place(tables[0]), scene.place(lamps[1]), 0.4)
+
+
+def test_each_storey_has_a_plan_and_a_branch_of_the_tree(scene, house, tmp_path):
+    both = export_floor_plan(
+        tmp_path / "plan.png", select(house), PlanOptions(rooms=True), OPTIONS
+    )
+    assert both.rooms == 4
+    image = read_rgb(tmp_path / "plan.png")
+    assert image.shape[1] > 2 * image.shape[0] * 1.3  # plans of 8 m x 5 m beside each other
+    shown = [(one.storey, one.room) for one in shown_objects(scene)]
+    assert shown == sorted(shown) and {storey for storey, _ in shown} == {"storey 1", "storey 2"}
+
+
+def test_one_storey_has_no_further_level(tmp_path):
+    scene = map_scene(select(written(tmp_path / "run", (0,))), OPTIONS)
+    content = scene_graph(scene).content
+    assert {node["kind"] for node in content["nodes"]} == {"object", "structure", "room"}
+    assert len(content["graph"]["storeys_m"]) == 1
+    assert {node["storey"] for node in content["nodes"]} == {1}
+    assert {one.storey for one in shown_objects(scene)} == {""}
