@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 from labelled_room import sheet
+from layout_run import write_run
 
 from toolkit.synthetic_rooms.paths import look_at
+from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 
 STOREY_M, _CEILING_M = 2.8, 2.5
 LENGTH_M, WIDTH_M = 8.0, 5.0
@@ -44,13 +49,21 @@ def points_of(storey: int) -> dict[str, np.ndarray]:
     return {name: np.concatenate(found) + offset for name, found in parts.items()}
 
 
+def house_run(folder: Path, storeys: Sequence[int] = (0, 1)) -> Path:
+    """Write the folder of a run that has mapped some storeys."""
+    parts = [part for storey in storeys for part in points_of(storey).items()]
+    ids = [np.full(len(points), CLASS_IDS[name], np.int32) for name, points in parts]
+    points = np.concatenate([points for _, points in parts])
+    return write_run(folder, points, np.concatenate(ids), cameras(), spacing_m=_SPACING_M)
+
+
 def cameras() -> np.ndarray:
     """T_world_camera [K, 4, 4] in the visited rooms, looking around in each."""
     poses = []
     for x, y, storey in VISITED:
         eye = np.array([x, y, storey * STOREY_M + 1.5])
         for angle in np.linspace(0.0, 2 * np.pi, 6, endpoint=False):
-            target = eye + [np.cos(angle), np.sin(angle), -0.4]
+            target = eye + np.array([np.cos(angle), np.sin(angle), -0.4])
             poses.append(look_at(eye, target))
     return np.stack(poses)
 

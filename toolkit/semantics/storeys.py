@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry.voxels import voxel_keys, voxels_of
 from toolkit.semantics.boxes import Ground
 
 Array = NDArray[np.float64]
@@ -33,8 +34,8 @@ _FLOOR_M = 0.15
 # A single floor has at least this share of its points at most this far from its plane.
 _SINGLE_SHARE, _SINGLE_M = 0.9, 0.3
 # Patches of floors whose normals are compared: their edge, the minimum number of points, and the
-# maximum ratio of thickness to width.
-_PATCH_M, _PATCH_POINTS, _PATCH_RATIO = 1.0, 8, 0.2
+# maximum ratio of thickness to width; and the number of points that suffice.
+_PATCH_M, _PATCH_POINTS, _PATCH_RATIO, _MAX_POINTS = 1.0, 8, 0.2, 20_000
 _FIT_ROUNDS = 3
 
 
@@ -177,17 +178,19 @@ def lowest_floor(floor_m: Array, others_m: Array) -> Ground | None:
 
 def _common_normal(points_m: Array) -> Array | None:
     """Return the normal [3] that most patches of floors [N, 3] share; None without patches."""
-    cells = np.floor((points_m - points_m.min(axis=0)) / _PATCH_M).astype(int)
-    _, patch, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    patch = patch.reshape(-1)
-    sums = np.zeros((len(counts), 3))
-    np.add.at(sums, patch, points_m)
-    offsets = points_m - (sums / counts[:, None])[patch]
-    scatter = np.zeros((len(counts), 3, 3))
-    np.add.at(scatter, patch, offsets[:, :, None] * offsets[:, None, :])
+    points = points_m[:: max(1, len(points_m) // _MAX_POINTS)]
+    _, patch = np.unique(voxel_keys(voxels_of(points, _PATCH_M)), return_inverse=True)
+    counts = np.bincount(patch)
+
+    def summed(values: Array) -> Array:
+        columns = values.reshape(len(values), -1).T
+        return np.stack([np.bincount(patch, column) for column in columns], axis=1)
+
+    offsets = points - (summed(points) / counts[:, None])[patch]
+    scatter = summed(offsets[:, :, None] * offsets[:, None, :]).reshape(-1, 3, 3)
     variances, axes = np.linalg.eigh(scatter)
-    flat = np.sqrt(np.maximum(variances[:, 0], 0.0)) <= _PATCH_RATIO * np.sqrt(variances[:, 1])
-    flat &= counts >= _PATCH_POINTS
+    thickness, width = np.sqrt(np.maximum(variances[:, :2], 0.0)).T
+    flat = (counts >= _PATCH_POINTS) & (thickness <= _PATCH_RATIO * width)
     if not flat.any():
         return None
     normals = axes[flat][:, :, 0] * np.sqrt(counts[flat])[:, None]
