@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from toolkit.geometry import se3
+from toolkit.semantics.boxes import Ground
 from toolkit.semantics.rooms import RoomMap
 from toolkit.semantics.storey_rooms import numbered_rooms
 from toolkit.semantics.storeys import Floors, Storeys, find_storeys, lowest_floor
@@ -92,8 +93,21 @@ def test_what_hangs_at_a_ceiling_belongs_to_the_storey_below():
     assert storeys.reached(0.0, 5.3) == range(2)  # the wall of a stairwell
     # A camera near the ceiling, and points just below the upper floor.
     assert storeys.at(np.array([-0.5, 2.4, 2.7, 4.3])).tolist() == [0, 0, 1, 1]
-    floors = Floors(lowest_floor(level(*WHOLE, 0.0), space_above(0.0)), Storeys([0.0]))
-    assert floors.of_object(np.array([[0.0, 0.0, 9.0]]), "structure") == range(1)
+
+
+def test_objects_stand_on_one_storey_but_walls_and_floors_can_have_several():
+    ground = Ground(np.array([0.0, 0.0, 1.0]), 0.0)
+    floors = Floors(ground, Storeys([0.0, 2.8]))
+    tall = level((0, 10), (0, 2), 0.0, slope=0.28)
+    assert floors.of_object(tall, "object") == range(1)
+    assert floors.of_object(tall, "structure") == range(1)
+    assert floors.of_object(tall, "floor") == range(2)  # a ramp joins both floors
+    assert floors.of_object(tall + np.array([0.0, 0.0, 2.0]), "structure") == range(2)
+    sunken = level(*WHOLE, 2.5)
+    assert floors.of_object(sunken, "floor") == range(1, 2)
+    assert floors.of_object(sunken, "structure") == range(1)  # the ceiling below
+    single = Floors(ground, Storeys([0.0]))
+    assert single.of_object(np.array([[0.0, 0.0, 9.0]]), "structure") == range(1)
 
 
 def test_rooms_are_numbered_by_first_visit_in_all_storeys():

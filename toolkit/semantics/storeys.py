@@ -104,14 +104,17 @@ class Floors:
     def of_object(self, points_m: Array, kind: StoreyKind) -> range:
         """Return the indices of the storeys of an object [N, 3].
 
-        Objects and floors have one storey, structures all into which they reach.
+        Objects have one storey, structures all into which they reach, and floors all whose height
+        they have: a ramp joins floors.
         """
         if len(self.storeys) == 1:
             return range(1)
         low, high = np.percentile(points_m @ self.ground.up, (2, 98)).tolist()
         if kind == "structure":
             return self.storeys.reached(low, high)
-        storey = self.storeys.of(low, np.inf if kind == "floor" else high)
+        if kind == "floor":
+            return range(self.storeys.of(low), self.storeys.of(high) + 1)
+        storey = self.storeys.of(low, high)
         return range(storey, storey + 1)
 
 
