@@ -1,4 +1,4 @@
-"""A house of two storeys with different rooms: two beside each other below, two others above."""
+"""A house of two storeys with different rooms, the upper one beyond the lower one on a side."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ LENGTH_M, WIDTH_M = 8.0, 5.0
 # The wall of the lower storey is at x = 3 with a door at y, that of the upper one at y = 2.
 _SPLITS_M, _DOORS_M, DOOR_M = (3.0, 2.0), (1.0, 6.0), 0.9
 # Places in the rooms, in the order in which the camera visits them: lower, upper, upper, lower.
-VISITED = ((1.5, 1.5, 0), (4.0, 1.0, 1), (4.0, 3.5, 1), (5.5, 2.5, 0))
+VISITED = ((1.5, 1.5, 0), (4.0, 2.5, 1), (4.0, 5.0, 1), (5.5, 2.5, 0))
 AREAS_M2 = (15.0, 16.0, 24.0, 25.0)
 _SPACING_M = 0.12
+# The upper storey begins at y.
+_SHIFT_M = 1.5
 
 
 def points_of(storey: int) -> dict[str, np.ndarray]:
@@ -40,12 +42,12 @@ def points_of(storey: int) -> dict[str, np.ndarray]:
         "floor": [_sheet((0, 0, 0), x, y)],
         "ceiling": [_sheet((0, 0, _CEILING_M), x, y)],
         "wall": [*outer, *inner],
-        # In the second and the fourth visited room, one above the other; both stand on the floor.
+        # In the second and the fourth visited room.
         "table": [_box((6.4, 0.5, 0.0), (1.0, 0.6, 0.7))],
         # Below the ceiling: nearer to the upper floor than to the lower one.
         "lamp": [_box((1.0, 3.5, 2.2), (0.3, 0.3, 0.25))],
     }
-    offset = np.array([0.0, 0.0, storey * STOREY_M])
+    offset = np.array([0.0, storey * _SHIFT_M, storey * STOREY_M])
     return {name: np.concatenate(found) + offset for name, found in parts.items()}
 
 

@@ -9,16 +9,21 @@ import pytest
 from layout_run import T_MAP_WORLD, TAXONOMY
 from two_storeys import AREAS_M2, DOOR_M, STOREY_M, VISITED, house_run
 
+from toolkit.exports.building import views_on
 from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions, PlanOptions
 from toolkit.exports.plans import export_floor_plan
 from toolkit.exports.scene_graph import scene_graph
 from toolkit.exports.selection import select
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_rgb
 from toolkit.io.length_names import METRES
 from toolkit.runs.report_pictures import report_floor_plan
+from toolkit.runs.visibility import KeyframeViews
+from toolkit.semantics.boxes import Ground
 from toolkit.semantics.paths import NoPathError
+from toolkit.semantics.storeys import Floors, Storeys
 from toolkit.viewer.shown_objects import shown_objects
 
 OPTIONS = ObjectGraphOptions(link_m=0.2, min_gaussians=20)
@@ -105,12 +110,25 @@ def test_each_storey_has_a_plan_and_a_branch_of_the_tree(scene, house, tmp_path)
         house / "map.ply", TAXONOMY, np.zeros((0, 3)), METRES, scene_graph(scene).content
     )
     for rows, columns in (image.shape[:2], plan.image.shape[:2]):
-        assert columns > 2.5 * rows  # plans of 8 m x 5 m beside each other
+        assert columns > 2 * rows  # plans of 8 m x 6.5 m beside each other
     floor_m2 = next(area.area_m2 for area in plan.areas if area.name == "floor")
     assert floor_m2 == pytest.approx(2 * 8.0 * 5.0, rel=0.1)
     assert len(plan.objects) == 4
     shown = [(one.storey, one.room) for one in shown_objects(scene)]
     assert shown == sorted(shown) and {storey for storey, _ in shown} == {"storey 1", "storey 2"}
+
+
+def test_what_a_view_sees_of_another_storey_is_not_its_space():
+    floors = Floors(Ground(np.array([0.0, 0.0, 1.0]), 0.0), Storeys([0.0, STOREY_M]))
+    # Looking straight down from 1.5 m above the upper floor, in which a part is open.
+    T_map_camera = se3.from_rotation_translation(
+        np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, STOREY_M + 1.5])
+    )
+    depth_m = np.array([[[1.5, 1.5, STOREY_M + 1.5]]], np.float32)
+    views = KeyframeViews(Camera(9.0, 9.0, 1.0, 0.0, 3, 1), [7], T_map_camera[None], depth_m)
+    seen = views_on(views, floors, 1)
+    assert seen.frames == [7] and seen.depth_m.tolist() == [[[1.5, 1.5, 0.0]]]
+    assert len(views_on(views, floors, 0)) == 0 and views.depth_m.all()
 
 
 def test_one_storey_has_no_further_level(tmp_path):

@@ -120,6 +120,7 @@ def test_a_resumed_scene_has_the_same_storeys(content):
     arrays, values = first.state()
     again = GrowingScene(TAXONOMY)
     again.restore(arrays, json.loads(json.dumps(values)))
+    assert again.state()[1] == values and len(values["storeys_m"]) == 2
     assert grown(views[28:], again, atlas) == content
 
 
@@ -131,7 +132,10 @@ def test_rooms_of_storeys_do_not_mix_and_are_numbered_by_first_visit():
     fans = [
         np.array([x, y, storey * STOREY_M + 1.5]) + np.zeros((4, 24, 3)) for x, y, storey in VISITED
     ]
-    building = GrowingBuilding(floors, walls, inside, fans)
+    # From the upper storey down to places beside the house.
+    down = np.array([4.0, 5.0, STOREY_M + 1.5]) + np.zeros((4, 24, 3))
+    down[1:] = np.stack([np.linspace(0, 8, 24), np.full(24, -3.0), np.zeros(24)], axis=1)
+    building = GrowingBuilding(floors, walls, inside, [*fans, down])
     assert [storey for storey, _ in building.rooms.order] == [0, 1, 1, 0]
     rooms = [building.describe(k) for k in range(4)]
     assert [room["area_m2"] for room in rooms] == pytest.approx(AREAS_M2, rel=0.15)

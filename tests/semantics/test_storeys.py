@@ -41,6 +41,10 @@ HOUSES = {
     "a small upper floor": ([level(*WHOLE, 0.0), level((0, 3), (0, 3), 2.8)], (0.0, 2.8)),
     "a small lower floor": ([level((0, 3), (0, 2), 0.0), level(*WHOLE, 2.8)], (0.0, 2.8)),
     "floors side by side": ([level((0, 4), (0, 5), 0.0), level((4, 8), (0, 5), 2.8)], (0.0, 2.8)),
+    "large floors side by side": (
+        [level((0, 10), (0, 12), 0.0), level((10, 20), (0, 12), 2.8)],
+        (0.0, 2.8),
+    ),
     "with stairs": ([level(*WHOLE, 0.0), *STAIRS, level(*WHOLE, 2.8)], (0.0, 2.8)),
     "three floors": ([level(*WHOLE, h) for h in (0.0, 2.8, 5.6)], (0.0, 2.8, 5.6)),
     "one floor": ([level(*WHOLE, 0.0)], (0.0,)),
@@ -91,6 +95,7 @@ def test_what_hangs_at_a_ceiling_belongs_to_the_storey_below():
     assert storeys.of(2.75, 3.5) == storeys.of(2.75) == 1
     assert storeys.reached(0.0, 2.5) == range(1) and storeys.reached(2.8, 5.3) == range(1, 2)
     assert storeys.reached(0.0, 5.3) == range(2)  # the wall of a stairwell
+    assert storeys.headroom_m(0) == pytest.approx(2.6) and storeys.headroom_m(1) == np.inf
     # A camera near the ceiling, and points just below the upper floor.
     assert storeys.at(np.array([-0.5, 2.4, 2.7, 4.3])).tolist() == [0, 0, 1, 1]
 

@@ -76,7 +76,7 @@ def find_building(
         space = free_space(
             selection,
             floors.of(storey),
-            _views_of(views, floors, storey),
+            views_on(views, floors, storey),
             replace(options, max_height_m=max_height_m),
             room_options,
         )
@@ -87,7 +87,7 @@ def find_building(
     return Building(floors, spaces, numbered_rooms([s.rooms for s in spaces], visits))
 
 
-def _views_of(views: KeyframeViews, floors: Floors, storey: int) -> KeyframeViews:
+def views_on(views: KeyframeViews, floors: Floors, storey: int) -> KeyframeViews:
     """Return the views from a storey, with depth only where they see the same storey."""
     if len(floors.storeys) == 1:
         return views

@@ -147,11 +147,11 @@ class GrowingBuilding:
     def __init__(self, floors: Floors, walls: Array, inside: Array, fans: Sequence[Array]) -> None:
         self._floors = floors
         cameras = floors.at(np.array([fan[0, 0] for fan in fans]).reshape(-1, 3))
-        wall_at, inside_at = floors.at(walls), floors.at(inside)
+        inside_at = floors.at(inside)
         self._storeys, visits = [], []
         for storey in range(len(floors.storeys)):
             found = GrowingRooms(
-                self._local(walls[wall_at == storey], storey),
+                self._local(walls, storey),
                 self._local(inside[inside_at == storey], storey),
                 [
                     self._local(_seen_on(fan, floors, storey), storey)
