@@ -36,6 +36,8 @@ _SINGLE_SHARE, _SINGLE_M = 0.9, 0.3
 # Patches of floors whose normals are compared: their edge, the minimum number of points, and the
 # maximum ratio of thickness to width; and the number of points that suffice.
 _PATCH_M, _PATCH_POINTS, _PATCH_RATIO, _MAX_POINTS = 1.0, 8, 0.2, 20_000
+# Minimum mean square cosine between normals of patches and the one that they share.
+_MIN_AGREEMENT = 0.8
 _FIT_ROUNDS = 3
 
 
@@ -180,7 +182,7 @@ def lowest_floor(floor_m: Array, others_m: Array) -> Ground | None:
 
 
 def _common_normal(points_m: Array) -> Array | None:
-    """Return the normal [3] that most patches of floors [N, 3] share; None without patches."""
+    """Return the normal [3] that the patches of floors [N, 3] share; None if they do not."""
     points = points_m[:: max(1, len(points_m) // _MAX_POINTS)]
     _, patch = np.unique(voxel_keys(voxels_of(points, _PATCH_M)), return_inverse=True)
     counts = np.bincount(patch)
@@ -197,7 +199,8 @@ def _common_normal(points_m: Array) -> Array | None:
     if not flat.any():
         return None
     normals = axes[flat][:, :, 0] * np.sqrt(counts[flat])[:, None]
-    return np.asarray(np.linalg.eigh(normals.T @ normals)[1][:, 2])
+    shares, directions = np.linalg.eigh(normals.T @ normals / counts[flat].sum())
+    return np.asarray(directions[:, 2]) if shares[2] >= _MIN_AGREEMENT else None
 
 
 def _normal_of_levels(points_m: Array, normal: Array, storeys: Storeys) -> Array:
