@@ -144,7 +144,7 @@ def _same_nodes(grown: list[dict[str, Any]], finished: list[dict[str, Any]]) -> 
 
 
 def _gap_m(node: dict[str, Any], other: dict[str, Any]) -> float:
-    if node["kind"] == "room":
+    if "box" not in node:  # rooms and storeys
         return 0.0
     centres = (np.array(n["box"]["centre_m"]) for n in (node, other))
     return float(np.linalg.norm(np.subtract(*centres)))

@@ -179,7 +179,8 @@ def matched(scene: MappedScene, number: int, truth: TrueRelations) -> int | None
 
 def _matched_rooms(scene: MappedScene, truth: TrueRelations) -> list[int]:
     """The true room of each room of the map, other negative numbers for none."""
-    rooms, grid = scene.space.rooms, scene.space.grid
+    (space,) = scene.building.spaces
+    rooms, grid = space.rooms, space.grid
     found, taken = [], set()
     for number in range(len(rooms)):
         cells = np.argwhere(rooms.numbers == number)
@@ -198,9 +199,10 @@ def _seen_rooms(truth: TrueRelations) -> set[int]:
 
 
 def _door_scores(scene: MappedScene, truth: TrueRelations, rooms: list[int]) -> Metrics:
-    doors = scene.space.rooms.doors
+    (space,) = scene.building.spaces
+    doors = space.rooms.doors
     cells = np.array([door.cell for door in doors], np.intp).reshape(-1, 2)
-    places = scene.space.grid.points_of(cells)[:, :2] + scene.selection.run.origin_m[:2]
+    places = space.grid.points_of(cells)[:, :2] + scene.selection.run.origin_m[:2]
     seen = _seen_rooms(truth)
     true = [door for door in truth.doors if door[0] <= seen]
     found: set[int] = set()

@@ -64,6 +64,18 @@ def make_run(
     The taxonomy may have other names for the classes of synthetic rooms.
     """
     points, ids = sampled(parts, spacing_m)
+    return write_run(folder, points, ids, poses_along(layout), taxonomy, spacing_m)
+
+
+def write_run(
+    folder: Path,
+    points: np.ndarray,
+    ids: np.ndarray,
+    T_world_camera: np.ndarray,
+    taxonomy: Taxonomy = TAXONOMY,
+    spacing_m: float = 0.08,
+) -> Path:
+    """Write the folder of a run that has mapped points of the world with their classes."""
     gaussians = GaussianCloud.from_values(
         means=torch.tensor(se3.transform_points(T_MAP_WORLD, points), dtype=torch.float32),
         radii_m=torch.full((len(points),), 0.6 * spacing_m),
@@ -72,7 +84,7 @@ def make_run(
     )
     levels = np.stack([taxonomy.level_ids(ids, level) for level in range(taxonomy.depth)], axis=1)
     labels = SplatLabels(ids, levels, np.full(len(ids), 0.9, np.float32))
-    poses = T_MAP_WORLD @ poses_along(layout)
+    poses = T_MAP_WORLD @ T_world_camera
     settings = RunSettings(dataset=DatasetOptions(kind="synthetic", path=Path("/gone")))
     run = RunFolder.create(folder, dump_settings(settings))
     times = np.arange(len(poses)) / 30.0

@@ -14,7 +14,6 @@ from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
 from toolkit.geometry import se3
-from toolkit.semantics.paths import PathFinder
 from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
 
 OPTIONS = ObjectGraphOptions(link_m=0.2, min_gaussians=20)
@@ -32,25 +31,27 @@ def scenes(tmp_path_factory) -> dict[str, MappedScene]:
 def rooms_at(scene: MappedScene, *places: tuple[float, float]) -> list[int]:
     """Room at places of the world."""
     points = se3.transform_points(T_MAP_WORLD, np.array([(x, y, 0.0) for x, y in places]))
-    return scene.space.rooms.numbers[tuple(scene.space.grid.cells_of(points).T)].tolist()
+    (space,) = scene.building.spaces
+    return space.rooms.numbers[tuple(space.grid.cells_of(points).T)].tolist()
 
 
 @pytest.mark.parametrize("name", ["rooms", "ring"])
 def test_the_rooms_are_those_of_the_layout(scenes, name):
     scene, plans = scenes[name], LAYOUTS[name]().rooms
-    assert len(scene.space.rooms) == len(plans)
+    (space,) = scene.building.spaces
+    assert len(scene.building.rooms) == len(plans)
     centres = rooms_at(scene, *(plan.centre_m for plan in plans))
     assert sorted(centres) == list(range(len(plans)))
     for plan, number in zip(plans, centres, strict=True):
         area_m2 = plan.size_m[0] * plan.size_m[1]
-        assert scene.space.rooms.areas_m2[number] == pytest.approx(area_m2, rel=0.25)
+        assert space.rooms.areas_m2[number] == pytest.approx(area_m2, rel=0.25)
     # Both layouts begin in their first room, and are walked through in order.
     assert centres[0] == 0
     expected = {"ring": {(0, 1), (1, 2), (2, 3), (0, 3)}}.get(name)
-    doors = {door.rooms for door in scene.space.rooms.doors}
+    doors = {door.rooms for door in scene.building.rooms.doors}
     corridor = centres[-1]
     assert doors == (expected or {tuple(sorted((corridor, k))) for k in centres[:-1]})
-    assert all(0.7 < door.width_m < 1.1 for door in scene.space.rooms.doors)
+    assert all(0.7 < door.width_m < 1.1 for door in scene.building.rooms.doors)
 
 
 def test_objects_are_in_their_rooms(scenes):
@@ -75,8 +76,9 @@ def test_paths_lead_through_the_corridor(scenes):
         [k for k, found in enumerate(scene.objects) if found.node.name == name]
         for name in ("bed", "table")
     )
-    path = PathFinder(scene.space.grid).shortest(scene.place(beds[0]), scene.place(tables[0]), 0.4)
-    rooms = scene.space.rooms.numbers[tuple(scene.space.grid.cells_of(path.points_m).T)]
+    path = scene.path(scene.place(beds[0]), scene.place(tables[0]), 0.4)
+    (space,) = scene.building.spaces
+    rooms = space.rooms.numbers[tuple(space.grid.cells_of(path.points_m).T)]
     (corridor,) = rooms_at(scene, LAYOUTS["rooms"]().rooms[3].centre_m)
     assert corridor in rooms
     assert scene.rooms_of(beds[0])[0] == rooms[0] != rooms[-1]

@@ -13,7 +13,6 @@ from toolkit.geometry import se3
 from toolkit.growing_scene.growing import GrowingScene
 from toolkit.growing_scene.objects import Fragment
 from toolkit.keyframe import Keyframe
-from toolkit.semantics.storeys import find_storeys
 from toolkit.semantics.taxonomy import Taxonomy
 
 NAMES = {FLOOR: "floor", WALL: "wall", CEILING: "ceiling", SURFACE: "table", OBJECT: "cabinet"}
@@ -142,12 +141,3 @@ def test_fragments_add_up_voxels_in_any_order():
         fragment.sums_m[fragment.rows], [expected[k] for k in sorted(expected)]
     )
     assert fragment.overlap(np.array(sorted(expected))) == len(expected)
-
-
-def test_storeys_are_levels_of_the_floor_but_steps_are_not():
-    rng = np.random.default_rng(0)
-    levels = [0.0] * 500 + [0.3] * 80 + [2.8] * 300
-    storeys = find_storeys(np.array(levels) + rng.normal(0, 0.01, len(levels)), 0.0)
-    np.testing.assert_allclose(storeys.heights_m, [0.0, 2.8], atol=0.02)
-    assert [storeys.of(h) for h in (-0.1, 0.0, 1.5, 2.3, 2.7, 4.0)] == [0, 0, 0, 0, 1, 1]
-    assert list(find_storeys(np.zeros(0), 1.5).heights_m) == [1.5]

@@ -10,8 +10,8 @@ from toolkit.semantics.floor_plan import (
     PlanDrawing,
     PlanEdge,
     PlanNode,
-    draw_floor_plan,
-    floor_plan,
+    draw_floor_plans,
+    floor_plans,
 )
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import LabelledMap
@@ -23,7 +23,8 @@ def plan():
     room = LabelledMap(points_m, labels, TAXONOMY)
     radii_m = np.full(len(points_m), 0.03)
     cameras_m = points_m[labels.label == IDS["table"]][:2]
-    return floor_plan(room, radii_m, room.ground(), cameras_m, Palette(TAXONOMY))
+    (found,) = floor_plans(room, radii_m, room.floors(), cameras_m, Palette(TAXONOMY))
+    return found
 
 
 def test_areas_are_those_of_the_room(plan):
@@ -53,7 +54,7 @@ def test_the_path_is_drawn_where_the_camera_was(plan):
 
 def test_the_legend_can_be_left_out(plan):
     palette = Palette(TAXONOMY)
-    bare, whole = (draw_floor_plan(plan, palette, legend) for legend in (False, True))
+    bare, whole = (draw_floor_plans([plan], palette, legend) for legend in (False, True))
     assert bare.shape[1] < whole.shape[1]
     np.testing.assert_array_equal(bare, whole[:, : bare.shape[1]])
 
@@ -73,9 +74,9 @@ def test_a_graph_is_drawn_between_its_objects(plan):
     ]
     palette = Palette(TAXONOMY)
     bare, on, facing = (
-        draw_floor_plan(plan, palette, legend=False, drawing=drawing) for drawing in drawings
+        draw_floor_plans([plan], palette, legend=False, drawings=[d]) for d in drawings
     )
     middle = np.s_[bare.shape[0] // 2, bare.shape[1] // 2]
     assert (bare[middle] != on[middle]).any() and (on[middle] != facing[middle]).any()
-    legend = draw_floor_plan(plan, palette, drawing=drawings[1])
+    legend = draw_floor_plans([plan], palette, drawings=drawings[1:2])
     assert legend.shape[1] > bare.shape[1]

@@ -298,3 +298,25 @@ def test_the_tree_of_objects_marks_the_chosen_one(browser, tmp_path):
     assert (unmarked[yellow] != marked[yellow]).any(axis=1).mean() > 0.9
     assert watched.errors == []
     watched.page.close()
+
+
+def test_the_tree_of_objects_begins_with_storeys_if_there_are_several(browser, tmp_path):
+    corners = np.zeros((8, 3))
+    objects = tuple(
+        ShownObject(f"table {number}", room, corners, storey=storey)
+        for number, (storey, room) in enumerate(
+            [("storey 1", "room 1"), ("storey 1", "room 3"), ("storey 2", "room 2")]
+        )
+    )
+    write_page(tmp_path / "viewer.html", replace(two_panels(), objects=objects))
+    watched = WatchedPage(browser)
+    watched.page.goto((tmp_path / "viewer.html").as_uri())
+    drawn(watched)
+    storeys = watched.page.locator("#graph > details")
+    tops = storeys.locator("> summary").all_text_contents()
+    assert tops == ["storey 1 (2)", "storey 2 (1)"]
+    rooms = [one.locator("> details > summary").all_text_contents() for one in storeys.all()]
+    assert rooms == [["room 1 (1)", "room 3 (1)"], ["room 2 (1)"]]
+    assert watched.page.locator("#graph button:visible").all_text_contents() == ["table 2"]
+    assert watched.errors == []
+    watched.page.close()

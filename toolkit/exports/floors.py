@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from toolkit.errors import SettingsError, ToolkitError
 from toolkit.exports.options import GridOptions
-from toolkit.exports.selection import SelectedGaussians, ground_of
+from toolkit.exports.selection import SelectedGaussians, floors_of
 from toolkit.geometry import se3
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, write_occupancy_grid
 from toolkit.semantics.boxes import Ground
+from toolkit.semantics.storeys import Floors
 
 # Discs of this many standard deviations cover a surface without gaps between Gaussians.
 _DISC_SIGMAS = 1.5
@@ -40,18 +41,27 @@ def export_occupancy_grid(
 
 
 def required_ground(selection: SelectedGaussians, floor: Sequence[str]) -> Ground:
-    """Return the floor of a run.
+    """Return the floor of a run, of its lowest storey.
 
     Raises:
         ToolkitError: it cannot be determined.
     """
-    ground = ground_of(selection.run, floor)
-    if ground is None:
+    return required_floors(selection, floor).ground
+
+
+def required_floors(selection: SelectedGaussians, floor: Sequence[str]) -> Floors:
+    """Return the floors of all storeys of a run.
+
+    Raises:
+        ToolkitError: they cannot be determined.
+    """
+    floors = floors_of(selection.run, floor)
+    if floors is None:
         raise ToolkitError(
             f"{selection.run.folder.path}: no floor was found, which this format needs; name its "
             "classes with --floor"
         )
-    return ground
+    return floors
 
 
 def occupancy_grid(

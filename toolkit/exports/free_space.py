@@ -75,12 +75,11 @@ def free_space(
     options: GridOptions | None = None,
     room_options: RoomOptions | None = None,
 ) -> FreeSpace:
-    """Return the free floor of the selected Gaussians and its rooms.
-
-    Rooms are numbered in the order in which the camera first visits them.
+    """Return the free floor of the selected Gaussians and its rooms, largest first.
 
     Args:
-        views: what the keyframes of the run see.
+        ground: plane of the floor.
+        views: what keyframes see on this floor.
 
     Raises:
         ToolkitError: the grid is too large, or no Gaussian is opaque.
@@ -94,11 +93,7 @@ def free_space(
     walls = _walls(opaque, heights_m, options.max_height_m) & within
     cells = covering(raw, means_m[walls], radii_m[walls]) >= options.min_gaussians
     inside = _inside(raw, cells, _seen_through(raw, views))
-    rooms = find_rooms(inside, raw.cell_m, room_options)
-    cameras_m = np.array([frame.T_map_camera[:3, 3] for frame in selection.run.tracked])
-    if len(cameras_m):
-        rooms = rooms.renumbered(rooms.numbers[tuple(raw.cells_of(cameras_m).T)].astype(np.intp))
-    return FreeSpace(_without_gaps(raw), rooms)
+    return FreeSpace(_without_gaps(raw), find_rooms(inside, raw.cell_m, room_options))
 
 
 def _walls(opaque: SelectedGaussians, heights_m: NDArray[np.float64], max_height_m: float) -> Mask:

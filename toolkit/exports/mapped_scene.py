@@ -1,4 +1,4 @@
-"""The objects, relations, rooms and free floor of a map."""
+"""The objects, relations, storeys, rooms and free floor of a map."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exports.floors import required_ground
-from toolkit.exports.free_space import FreeSpace, free_space
+from toolkit.exports.building import Building, find_building
+from toolkit.exports.floors import required_floors
 from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.runs.visibility import KeyframeViews, keyframe_views
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.colour_names import colour_name
 from toolkit.semantics.options import ObjectOptions
-from toolkit.semantics.paths import Place
+from toolkit.semantics.paths import FreePath, NoPathError, PathFinder, Place
 from toolkit.semantics.query import (
     FLOOR_NAMES,
     LabelledMap,
@@ -43,11 +43,11 @@ class MappedScene:
     Attributes:
         selection: the Gaussians.
         map: their labels.
-        ground: plane of the floor.
         objects: the objects, largest first.
         enclosing: whether each object is part of rooms (walls, floors, doors, ...).
+        storeys: indices of the storeys of each object: one, or all into which a structure reaches.
         relations: relations between objects, by their numbers.
-        space: free floor and rooms.
+        building: free floor and rooms of each storey.
         views: what the keyframes see.
         floor: names of the floor.
         grid: options of the occupancy grid.
@@ -55,14 +55,19 @@ class MappedScene:
 
     selection: SelectedGaussians
     map: LabelledMap
-    ground: Ground
     objects: list[SceneObject]
     enclosing: list[bool]
+    storeys: list[range]
     relations: list[Relation]
-    space: FreeSpace
+    building: Building
     views: KeyframeViews
     floor: Sequence[str]
     grid: GridOptions
+
+    @property
+    def ground(self) -> Ground:
+        """Plane of the floor, of the lowest storey."""
+        return self.building.floors.ground
 
     def points_m(self, number: int) -> NDArray[np.float64]:
         """Return the centres [n, 3] of the Gaussians of an object."""
@@ -70,17 +75,37 @@ class MappedScene:
 
     def rooms_of(self, number: int) -> list[int]:
         """Return the indices of the rooms of an object: one, or all that it encloses."""
-        shares = self.space.rooms_of(self.points_m(number))
+        shares = self.building.rooms_of(self.points_m(number), self.storeys[number])
         if self.enclosing[number]:
             return sorted(room for room, share in shares.items() if share >= _PART_SHARE)
         return [max(shares, key=lambda k: shares[k])] if shares else []
 
     def place(self, number: int) -> Place:
         """Return an object as the end of a path, which is in its room."""
-        rooms = self.rooms_of(number)
-        within = np.isin(self.space.rooms.numbers, rooms) if rooms else None
+        rooms, storey = self.rooms_of(number), self.storeys[number][0]
+        within = np.isin(self.building.rooms.numbers_of(storey), rooms) if rooms else None
         name = f"{self.objects[number].node.name} {number}"
-        return Place(name, self.space.grid.mask_of(self.points_m(number)), within)
+        footprint = self.building.spaces[storey].grid.mask_of(self.points_m(number))
+        return Place(name, footprint, within, storey)
+
+    def place_at(self, point_m: NDArray[np.float64], name: str) -> Place:
+        """Return a point [3] of the map as the end of a path, on the storey at its height."""
+        storey = int(self.building.floors.at(point_m[None])[0])
+        return Place(name, self.building.spaces[storey].grid.mask_of(point_m[None]), None, storey)
+
+    def path(self, start: Place, goal: Place, width_m: float) -> FreePath:
+        """Return the shortest free path of a minimum width between places of one storey.
+
+        Raises:
+            NoPathError: there is none, or the places are on different storeys.
+        """
+        if start.storey != goal.storey:
+            ends = " and ".join(f"{p.name} is on storey {p.storey + 1}" for p in (start, goal))
+            raise NoPathError(
+                f"no path: {ends}; paths stay on one storey, since stairs are not known: choose "
+                "two places on one storey"
+            )
+        return self._finders[start.storey].shortest(start, goal, width_m)
 
     def describe(self, number: int) -> dict[str, Any]:
         """Return class, box, colour, rooms and the frames that see an object as JSON values."""
@@ -90,33 +115,40 @@ class MappedScene:
             **self._reader.describe(found),
             "colour": colour_name(rgb[found.index], areas[found.index]),
             "rooms": [room + 1 for room in self.rooms_of(number)],
+            "storey": self.storeys[number][0] + 1,
             **self._seen[number],
         }
 
     def describe_room(self, number: int) -> dict[str, Any]:
         """Return area, place and doors of a room as JSON values."""
-        rooms = self.space.rooms
-        cells = np.argwhere(rooms.numbers == number)
-        flat = cells * self.space.grid.cell_m
+        storey, index = self.building.rooms.order[number]
+        rooms, grid = self.building.rooms.maps[storey], self.building.spaces[storey].grid
+        flat = np.argwhere(rooms.numbers == index) * grid.cell_m
         return {
             "name": f"room {number + 1}",
             "number": number + 1,
-            "area_m2": round(rooms.areas_m2[number], 2),
-            "size_m": (np.ptp(flat, axis=0)[::-1] + self.space.grid.cell_m).round(2).tolist(),
-            "centre_m": self._point(rooms.centres[number]),
+            "storey": storey + 1,
+            "area_m2": round(rooms.areas_m2[index], 2),
+            "size_m": (np.ptp(flat, axis=0)[::-1] + grid.cell_m).round(2).tolist(),
+            "centre_m": self._point(storey, rooms.centres[index]),
             "doors": [
                 {
-                    "to_room": 1 + (set(door.rooms) - {number}).pop(),
+                    "to_room": 1
+                    + self.building.rooms.number(storey, (set(door.rooms) - {index}).pop()),
                     "width_m": round(door.width_m, 2),
-                    "place_m": self._point(door.cell),
+                    "place_m": self._point(storey, door.cell),
                 }
                 for door in rooms.doors
-                if number in door.rooms
+                if index in door.rooms
             ],
         }
 
-    def _point(self, cell: tuple[int, int]) -> list[float]:
-        return self.space.grid.points_of(np.array([cell]))[0].round(_DECIMALS).tolist()
+    def _point(self, storey: int, cell: tuple[int, int]) -> list[float]:
+        return self.building.point(storey, cell).round(_DECIMALS).tolist()
+
+    @cached_property
+    def _finders(self) -> list[PathFinder]:
+        return [PathFinder(space.grid) for space in self.building.spaces]
 
     @cached_property
     def _reader(self) -> SceneReader:
@@ -162,30 +194,40 @@ def map_scene(
         ToolkitError: the map has no labels, no floor was found, or the grid is too large.
     """
     labelled = selection.labelled()
-    ground = required_ground(selection, floor)
+    floors = required_floors(selection, floor)
     object_options = ObjectOptions(options.link_m, options.min_gaussians)
-    objects = labelled.objects(None, ground, object_options)
+    objects = labelled.objects(None, floors.ground, object_options)
     known = Roles(labelled.taxonomy, floor or FLOOR_NAMES)
     roles = [known.of(found.node.path) for found in objects]
+    points_m = [labelled.means_m[found.index] for found in objects]
+    storeys = [
+        floors.of_object(points, known.kind(found.node.path))
+        for points, found in zip(points_m, objects, strict=True)
+    ]
     grid = grid or GridOptions()
     views = keyframe_views(selection.run)
-    space = free_space(selection, ground, views, grid, RoomOptions(options.max_door_m))
+    building = find_building(selection, floors, views, grid, RoomOptions(options.max_door_m))
     cameras_m = np.array([f.T_map_camera[:3, 3] for f in selection.run.tracked]).reshape(-1, 3)
-    related = relations(
-        [labelled.means_m[o.index] for o in objects],
-        ground,
-        roles,
-        RelationOptions(options.contact_m, options.next_to_m, options.facing_m),
-        cameras_m,
-    )
+    relation_options = RelationOptions(options.contact_m, options.next_to_m, options.facing_m)
+    related = []
+    for storey in range(len(floors.storeys)):
+        own = [number for number, reached in enumerate(storeys) if storey in reached]
+        found = relations(
+            [points_m[number] for number in own],
+            floors.of(storey),
+            [roles[number] for number in own],
+            relation_options,
+            cameras_m,
+        )
+        related += [Relation(own[r.source], own[r.target], r.kind) for r in found]
     return MappedScene(
         selection,
         labelled,
-        ground,
         objects,
         [role != "object" for role in roles],
-        related,
-        space,
+        storeys,
+        list(dict.fromkeys(related)),  # structures that reach into several storeys
+        building,
         views,
         floor or FLOOR_NAMES,
         grid,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import SettingsError
-from toolkit.exports.floors import required_ground
+from toolkit.exports.floors import required_floors
 from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import GridOptions, ObjectGraphOptions, PlanOptions
 from toolkit.exports.selection import SelectedGaussians
@@ -21,11 +21,12 @@ from toolkit.semantics.floor_plan import (
     PlanDrawing,
     PlanEdge,
     PlanNode,
-    draw_floor_plan,
-    floor_plan,
+    draw_floor_plans,
+    floor_plans,
+    total_areas,
 )
 from toolkit.semantics.palette import Palette
-from toolkit.semantics.paths import FreePath, PathFinder
+from toolkit.semantics.paths import FreePath
 
 
 @dataclass(frozen=True)
@@ -61,19 +62,20 @@ def export_floor_plan(
     """
     opaque = selection.opaque()
     labelled = opaque.labelled()
-    ground = required_ground(selection, floor)
+    floors = required_floors(selection, floor)
     palette = Palette(labelled.taxonomy)
     cameras_m = selection.run.trajectory.positions_m
-    radii_m = opaque.gaussians.radii_seen_m(ground.up)
-    plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
-    drawing, found, rooms = None, None, None
+    radii_m = opaque.gaussians.radii_seen_m(floors.ground.up)
+    plans = floor_plans(labelled, radii_m, floors, cameras_m, palette)
+    found, rooms, drawings = None, None, []
     if options.rooms or options.graph or options.path is not None:
         scene = map_scene(selection, objects, floor, grid)
         found = _path(scene, options)
-        drawing, rooms = _drawing(scene, found, options.graph), len(scene.space.rooms)
+        rooms = len(scene.building.rooms)
+        drawings = _drawing(scene, found, options.graph).by_storey(floors)
     names = selection.run.length_names
-    write_png(path, draw_floor_plan(plan, palette, names=names, drawing=drawing))
-    return WrittenPlan(len(plan.areas), rooms, found)
+    write_png(path, draw_floor_plans(plans, palette, names=names, drawings=drawings))
+    return WrittenPlan(len(total_areas(plans)), rooms, found)
 
 
 def _path(scene: MappedScene, options: PlanOptions) -> FreePath | None:
@@ -86,15 +88,28 @@ def _path(scene: MappedScene, options: PlanOptions) -> FreePath | None:
                 f"{len(scene.objects) - 1}, as in the scene graph"
             )
     start, goal = (scene.place(number) for number in options.path)
-    return PathFinder(scene.space.grid).shortest(start, goal, options.width_m)
+    return scene.path(start, goal, options.width_m)
 
 
 def _drawing(scene: MappedScene, path: FreePath | None, graph: bool) -> PlanDrawing:
-    rooms, grid = scene.space.rooms, scene.space.grid
+    rooms, spaces = scene.building.rooms, scene.building.spaces
+    outlines = [
+        _outlines(spaces[storey].rooms.numbers == room, spaces[storey].grid)
+        for storey, room in rooms.order
+    ]
+    centres_m = [
+        scene.building.point(storey, rooms.maps[storey].centres[room])
+        for storey, room in rooms.order
+    ]
+    doors_m = [
+        scene.building.point(storey, door.cell)
+        for storey, own in enumerate(rooms.maps)
+        for door in own.doors
+    ]
     return PlanDrawing(
-        [(f"room {k + 1}", _outlines(rooms.numbers == k, grid)) for k in range(len(rooms))],
-        grid.points_of(np.array(rooms.centres, np.intp).reshape(-1, 2)),
-        grid.points_of(np.array([door.cell for door in rooms.doors], np.intp).reshape(-1, 2)),
+        [(f"room {k + 1}", outline) for k, outline in enumerate(outlines)],
+        np.array(centres_m).reshape(-1, 3),
+        np.array(doors_m).reshape(-1, 3),
         np.empty((0, 3)) if path is None else path.points_m,
         *(_graph(scene) if graph else ((), ())),
     )

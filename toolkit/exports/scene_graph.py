@@ -1,10 +1,11 @@
-"""Export the objects of a map, its rooms and their relations.
+"""Export the objects of a map, its rooms, storeys and their relations.
 
 JSON is in the node-link format of NetworkX; JSON-LD and GraphML contain the same graph.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,18 +16,20 @@ from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.atomic import write_bytes
 from toolkit.io.graphs import graph_bytes
+from toolkit.semantics.storey_rooms import add_storeys, graph_edge
 
 
 @dataclass(frozen=True)
 class SceneGraph:
-    """Objects and rooms (nodes) and their relations (edges) as JSON values."""
+    """Objects, rooms and storeys (nodes) and their relations (edges) as JSON values."""
 
     content: dict[str, Any]
 
     def __str__(self) -> str:
-        rooms = sum(node["kind"] == "room" for node in self.content["nodes"])
-        objects = len(self.content["nodes"]) - rooms
-        return f"{objects} objects, {rooms} rooms, {len(self.content['edges'])} relations"
+        kinds = Counter(node["kind"] for node in self.content["nodes"])
+        text = f"{kinds['object'] + kinds['structure']} objects, {kinds['room']} rooms, "
+        text += f"{kinds['storey']} storeys, " if kinds["storey"] else ""
+        return f"{text}{len(self.content['edges'])} relations"
 
 
 def export_scene_graph(
@@ -47,28 +50,29 @@ def export_scene_graph(
 
 
 def scene_graph(scene: MappedScene) -> SceneGraph:
-    """Return the graph of a scene: objects are numbered from 0, rooms behind them."""
+    """Return the graph of a scene: objects are numbered from 0, rooms and storeys behind them."""
     run, ground, count = scene.selection.run, scene.ground, len(scene.objects)
+    building, storeys = scene.building, scene.building.floors.storeys
     nodes = [
         {"id": k, "kind": "structure" if scene.enclosing[k] else "object", **scene.describe(k)}
         for k in range(count)
     ]
     rooms = [
         {"id": count + k, "kind": "room", **scene.describe_room(k)}
-        for k in range(len(scene.space.rooms))
+        for k in range(len(building.rooms))
     ]
-    edges = [_edge(r.source, r.target, r.kind) for r in scene.relations]
+    edges = [graph_edge(r.source, r.target, r.kind) for r in scene.relations]
     edges += [
-        _edge(k, count + room, "part of" if scene.enclosing[k] else "in")
+        graph_edge(k, count + room, "part of" if scene.enclosing[k] else "in")
         for k in range(count)
         for room in scene.rooms_of(k)
     ]
     edges += [
         {
-            **_edge(count + door.rooms[0], count + door.rooms[1], "connected to"),
+            **graph_edge(count + door.rooms[0], count + door.rooms[1], "connected to"),
             "width_m": round(door.width_m, 2),
         }
-        for door in scene.space.rooms.doors
+        for door in building.rooms.doors
     ]
     taxonomy = scene.map.taxonomy
     content = {
@@ -80,13 +84,11 @@ def scene_graph(scene: MappedScene) -> SceneGraph:
             "map_origin_m": run.origin_m.tolist(),
             "up": ground.up.round(6).tolist(),
             "floor_height_m": round(ground.height_m, 4),
+            "storeys_m": [round(height_m, 3) for height_m in storeys.heights_m],
             "taxonomy": {"name": taxonomy.name, "digest": taxonomy.digest},
         },
         "nodes": [*nodes, *rooms],
         "edges": edges,
     }
+    add_storeys(content, storeys)
     return SceneGraph(content)
-
-
-def _edge(source: int, target: int, kind: str) -> dict[str, Any]:
-    return {"source": source, "target": target, "key": kind, "relation": kind}

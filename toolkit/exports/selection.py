@@ -19,6 +19,7 @@ from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.labelled import load_labelled_run
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.query import FLOOR_NAMES, LabelledMap
+from toolkit.semantics.storeys import Floors, Storeys
 from toolkit.semantics.taxonomy import Taxonomy
 
 # Minimum opacity of Gaussians that represent surfaces.
@@ -168,21 +169,29 @@ def select(run: Path, keep: Sequence[str] = (), drop: Sequence[str] = ()) -> Sel
 def ground_of(run: FinishedRun, names: Sequence[str] = ()) -> Ground | None:
     """Return the floor of a run, or None if it cannot be determined.
 
-    It is fitted to the Gaussians of floor classes. Without labels, or if no floor is labelled, it
-    is the lowest full layer of Gaussians below the cameras, which are assumed to be held upright.
+    It is fitted to the Gaussians of floor classes, of the lowest storey if there are several.
+    Without labels, or if no floor is labelled, it is the lowest full layer of Gaussians below the
+    cameras, which are assumed to be held upright.
 
     Args:
         names: classes and groups of the floor instead of the common names.
     """
+    floors = floors_of(run, names)
+    return None if floors is None else floors.ground
+
+
+def floors_of(run: FinishedRun, names: Sequence[str] = ()) -> Floors | None:
+    """Return the floors of all storeys, or None without a floor; see `ground_of`."""
     whole = SelectedGaussians(run, run.gaussians, read_splats(run.folder.map).labels).opaque()
     if whole.labels is not None:
         labelled = whole.labelled()
         for name in names:
             labelled.taxonomy.find(name)  # raises an error if the name does not exist
-        ground = labelled.ground(names or FLOOR_NAMES)
-        if ground is not None:
-            return ground
-    return _lowest_layer(whole.means_m, run)
+        floors = labelled.floors(names or FLOOR_NAMES)
+        if floors is not None:
+            return floors
+    ground = _lowest_layer(whole.means_m, run)
+    return None if ground is None else Floors(ground, Storeys([ground.height_m]))
 
 
 def _lowest_layer(means_m: NDArray[np.float64], run: FinishedRun) -> Ground | None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.growing_scene.floors import fitted_floors, same_floors
 from toolkit.growing_scene.live_relations import LiveRelations
 from toolkit.growing_scene.objects import GrowingObject, thinned
 from toolkit.growing_scene.rooms import ViewFan, fan_of
@@ -28,6 +29,7 @@ from toolkit.semantics.boxes import Ground
 from toolkit.semantics.colour_names import colour_table
 from toolkit.semantics.relations import RelationOptions, Role
 from toolkit.semantics.roles import Roles
+from toolkit.semantics.storeys import Floors, Storeys
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.atlas import Atlas
 
@@ -50,8 +52,6 @@ _GROWN = 0.25
 _FLOOR_GROWTH, _FLOOR_POINTS, _MIN_FLOOR = 1.5, 400, 40
 # Number of cameras that determine which side of the floor is up, and which one panels face.
 _MAX_CAMERAS = 100
-# Bodies are not computed again if the floor has moved by less (radians and metres).
-_TILT, _SHIFT_M = 0.01, 0.02
 # Poses of submaps that differ by less have not been corrected.
 _MOVED = 1e-6
 
@@ -74,7 +74,7 @@ class GrowingScene:
         self._class_of = {n.name: class_id for class_id, n in self._leaves.items()}
         roles = Roles(taxonomy)
         self._role_of = {k: roles.of(node.path) for k, node in self._leaves.items()}
-        self._floors = {
+        self._floor_classes = {
             k
             for k, node in self._leaves.items()
             if self._role_of[k] == "floor" and not roles.is_ceiling(node.path)
@@ -90,7 +90,7 @@ class GrowingScene:
         self._seen: set[tuple[int, int]] = set()
         self._compared: dict[int, int] = {}
         self._young: dict[int, int] = {}
-        self._ground: Ground | None = None
+        self._floors: Floors | None = None
         self._floor_size, self._next = 0, 1
 
     def update(self, atlas: Atlas, metres_per_unit: float = 1.0) -> None:
@@ -111,8 +111,8 @@ class GrowingScene:
             self._forget_errors()
         self._merge_instances()
         self._fit_floor()
-        if self._ground is not None:
-            self._live.update(self._ground, self._cameras_m(), _OBJECTS_PER_KEYFRAME)
+        if self._floors is not None:
+            self._live.update(self._floors, self._cameras_m(), _OBJECTS_PER_KEYFRAME)
 
     def finish(self, atlas: Atlas, metres_per_unit: float = 1.0) -> None:
         """Follow the last corrections, join objects of several submaps, compare all objects."""
@@ -124,12 +124,12 @@ class GrowingScene:
         self._floor_size = 0
         self._fit_floor()
         self._live.all_changed()
-        if self._ground is not None:
-            self._live.update(self._ground, self._cameras_m())
+        if self._floors is not None:
+            self._live.update(self._floors, self._cameras_m())
 
     def content(self) -> dict[str, Any] | None:
         """The graph in node-link format; None before the floor is known."""
-        if self._ground is None:
+        if self._floors is None:
             return None
         points = {n: self._points(n) for n in sorted(self.objects)}
         roles = {n: self._role(one) for n, one in self.objects.items()}
@@ -138,9 +138,9 @@ class GrowingScene:
             points,
             roles,
             {n: self._leaves[one.class_id] for n, one in self.objects.items()},
-            [n for n, one in sorted(self.objects.items()) if one.class_id in self._floors],
+            [n for n, one in sorted(self.objects.items()) if one.class_id in self._floor_classes],
             self._live.relations(),
-            self._ground,
+            self._floors.ground,
             self._fans,
             self._poses,
         )
@@ -275,17 +275,17 @@ class GrowingScene:
 
     def _fit_floor(self) -> None:
         """Fit the floor when it has grown."""
-        floors = [n for n, one in self.objects.items() if one.class_id in self._floors]
+        floors = [n for n, one in self.objects.items() if one.class_id in self._floor_classes]
         size = sum(self.objects[n].size for n in floors)
         if not self._fans or size < max(_MIN_FLOOR, _FLOOR_GROWTH * self._floor_size):
             return
         self._floor_size = size
         points = [thinned(self._points(n), _FLOOR_POINTS) for n in floors]
-        found = Ground.below(np.concatenate(points), self._cameras_m())
+        found = fitted_floors(np.concatenate(points), self._cameras_m())
         if found is None:
             return
-        before, self._ground = self._ground, found
-        if before is None or not _same(before, found):
+        before, self._floors = self._floors, found
+        if before is None or not same_floors(before, found):
             self._live.all_changed()
 
     def _role(self, one: GrowingObject) -> Role:
@@ -321,9 +321,10 @@ class GrowingScene:
         values["young"] = list(map(list, self._young.items()))
         values["compared"] = list(map(list, self._compared.items()))
         values["floor_size"] = self._floor_size
-        if self._ground is not None:
-            arrays["up"] = self._ground.up
-            values["height_m"] = self._ground.height_m
+        if self._floors is not None:
+            arrays["up"] = self._floors.ground.up
+            values["height_m"] = self._floors.ground.height_m
+            values["storeys_m"] = list(self._floors.storeys.heights_m)
         return arrays, values
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
@@ -346,11 +347,7 @@ class GrowingScene:
         self._compared = {int(n): int(size) for n, size in values["compared"]}
         self._floor_size, self._next = int(values["floor_size"]), int(values["next"])
         if "up" in arrays:
-            self._ground = Ground(np.array(arrays["up"]), float(values["height_m"]))
+            ground = Ground(np.array(arrays["up"]), float(values["height_m"]))
+            self._floors = Floors(ground, Storeys([float(h) for h in values["storeys_m"]]))
         bodies = {int(n): Body(np.array(arrays[f"bodies/{n}"])) for n in values["live"]["bodies"]}
         self._live.restore(values["live"], bodies)
-
-
-def _same(one: Ground, other: Ground) -> bool:
-    tilt = float(np.linalg.norm(one.up - other.up))
-    return tilt <= _TILT and abs(one.height_m - other.height_m) <= _SHIFT_M

@@ -22,6 +22,7 @@ from toolkit.semantics.relations import (
     nearest_ahead,
     support,
 )
+from toolkit.semantics.storeys import Floors, Storeys
 
 Array = NDArray[np.float64]
 
@@ -79,20 +80,20 @@ class LiveRelations:
             for source in [s for s, target in targets.items() if target == number]:
                 del targets[source]
 
-    def update(self, ground: Ground, cameras_m: Array, count: int | None = None) -> None:
+    def update(self, floors: Floors, cameras_m: Array, count: int | None = None) -> None:
         """Compare the objects that wait longest with all others.
 
         Args:
-            ground: plane of the floor.
+            floors: planes of the floors; objects of different storeys have no relations.
             cameras_m: [P, 3] positions of the camera.
             count: maximum number of objects; all if None.
         """
         if count is None:
             for number in self._roles:
-                self.body(number, ground)
+                self.body(number, floors.ground)
         for number in list(self._waiting)[:count]:
             del self._waiting[number]
-            self._compare(number, ground, cameras_m)
+            self._compare(number, floors, cameras_m)
 
     def relations(self) -> list[Relation]:
         """All relations, in a fixed order."""
@@ -111,9 +112,9 @@ class LiveRelations:
             self._bodies[number] = Body(thinned @ ground.axes)
         return self._bodies[number]
 
-    def _compare(self, number: int, ground: Ground, cameras_m: Array) -> None:
+    def _compare(self, number: int, floors: Floors, cameras_m: Array) -> None:
         old = self._bodies.pop(number, None)
-        body = self.body(number, ground)
+        body = self.body(number, floors.ground)
         others = [k for k in self._bodies if k != number]
         if not others:
             return
@@ -123,6 +124,7 @@ class LiveRelations:
         gap = np.maximum(low - body.high, body.low - high)
         numbers = np.array(others)
         close = numbers[(gap <= max(_REACH_M, self._options.next_to_m)).all(axis=1)].tolist()
+        close = self._meeting(number, close, floors.storeys)
         self._pair_up(number, close)
         if self._roles[number] in ("object", "opening"):
             self._vertical[number] = support(
@@ -130,14 +132,35 @@ class LiveRelations:
             )
         if self._roles[number] == "object":
             flat = (gap[:, :2] <= _BELOW_M).all(axis=1)
-            self._hang(number, numbers[flat].tolist())
-            ahead = (gap[:, :2] <= self._options.facing_m).all(axis=1)
-            self._face(number, numbers[ahead].tolist(), ground, cameras_m)
+            below = self._meeting(number, numbers[flat].tolist(), floors.storeys)
+            self._hang(number, below)
+            near = numbers[(gap[:, :2] <= self._options.facing_m).all(axis=1)].tolist()
+            ahead = self._meeting(number, near, floors.storeys)
+            own = floors.of(floors.storeys.of(body.bottom, body.top))
+            self._face(number, ahead, own, cameras_m)
         if old is None:  # its neighbours may stand on it
             around = numbers[(gap <= _REACH_M).all(axis=1)].tolist()
             for k in around:
                 if self._roles[k] == "object":
                     self._waiting.setdefault(k)
+
+    def _meeting(self, number: int, others: list[int], storeys: Storeys) -> list[int]:
+        """Those of some objects that are on a storey of an object; floors touch or do not."""
+        if len(storeys) == 1 or self._roles[number] == "floor":
+            return others
+        own = self._storeys_of(number, storeys)
+        return [
+            k
+            for k in others
+            if self._roles[k] == "floor" or any(s in own for s in self._storeys_of(k, storeys))
+        ]
+
+    def _storeys_of(self, number: int, storeys: Storeys) -> range:
+        body = self._bodies[number]
+        if self._roles[number] != "object":
+            return storeys.reached(body.bottom, body.top)
+        storey = storeys.of(body.bottom, body.top)
+        return range(storey, storey + 1)
 
     def _pair_up(self, number: int, close: list[int]) -> None:
         self._near = {pair for pair in self._near if number not in pair}

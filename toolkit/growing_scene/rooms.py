@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +13,8 @@ from scipy.spatial import KDTree
 
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.rooms import RoomMap, find_rooms
+from toolkit.semantics.storey_rooms import numbered_rooms
+from toolkit.semantics.storeys import Floors
 
 Array = NDArray[np.float64]
 
@@ -63,16 +66,23 @@ def fan_of(submap: int, keyframe: Keyframe, metres_per_unit: float) -> ViewFan:
 
 
 class GrowingRooms:
-    """Rooms on a grid along the axes of the floor.
+    """Rooms of a storey on a grid along the axes of the floor.
 
     Args:
         walls: [N, 3] points of what encloses rooms, along the axes of the floor; z is the height
             above it.
         inside: [M, 3] points of floors and objects.
         fans: [1 + R, D, 3] points of what each keyframe looked through.
+        headroom_m: height up to the next floor.
+
+    Attributes:
+        rooms: the rooms, in the order of the keyframes' first visits.
+        visits: [F] index of the room of each keyframe, -1 for none.
     """
 
-    def __init__(self, walls: Array, inside: Array, fans: Sequence[Array]) -> None:
+    def __init__(
+        self, walls: Array, inside: Array, fans: Sequence[Array], headroom_m: float = np.inf
+    ) -> None:
         flat = np.concatenate([walls[:, :2], inside[:, :2], *(f[0, :1, :2] for f in fans)])
         self._low = np.floor(flat.min(axis=0) / _CELL_M) - 2
         size = (np.ceil(flat.max(axis=0) / _CELL_M) - self._low + 2).astype(int)
@@ -84,15 +94,17 @@ class GrowingRooms:
                 outline = np.vstack([fan[0, :1], row])
                 cv2.fillPoly(seen, [self._cells(outline).astype(np.int32)], 1)
         wall = np.zeros(seen.shape, bool)
-        high = (walls[:, 2] >= _MIN_HEIGHT_M) & (walls[:, 2] <= _MAX_HEIGHT_M)
+        max_height_m = min(_MAX_HEIGHT_M, headroom_m)
+        high = (walls[:, 2] >= _MIN_HEIGHT_M) & (walls[:, 2] <= max_height_m)
         x, y = self._cells(walls[high]).T
         wall[y, x] = True
         closed = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)
         rooms = find_rooms(closed & ~wall, _CELL_M)
+        x, y = self._cells(np.array([fan[0, 0] for fan in fans]).reshape(-1, 3)).T
         if fans:
-            x, y = self._cells(np.stack([fan[0, 0] for fan in fans])).T
             rooms = rooms.renumbered(rooms.numbers[y, x].astype(np.intp))
         self.rooms: RoomMap = rooms
+        self.visits = rooms.numbers[y, x]
         cells = np.argwhere(rooms.numbers >= 0)
         self._tree = KDTree((cells[:, ::-1] + self._low + 0.5) * _CELL_M) if len(cells) else None
         self._numbers = rooms.numbers[tuple(cells.T)]
@@ -117,3 +129,92 @@ class GrowingRooms:
 
     def _cells(self, points: Array) -> NDArray[np.int64]:
         return (np.floor(points[:, :2] / _CELL_M) - self._low).astype(np.int64)
+
+
+class GrowingBuilding:
+    """Rooms of all storeys.
+
+    Args:
+        floors: planes of the floors.
+        walls: [N, 3] points of what encloses rooms, in the world.
+        inside: [M, 3] points of floors and objects.
+        fans: [1 + R, D, 3] points of what each keyframe looked through.
+
+    Attributes:
+        rooms: all rooms, in the order of the keyframes' first visits.
+    """
+
+    def __init__(self, floors: Floors, walls: Array, inside: Array, fans: Sequence[Array]) -> None:
+        self._floors = floors
+        cameras = floors.at(np.array([fan[0, 0] for fan in fans]).reshape(-1, 3))
+        inside_at = floors.at(inside)
+        self._storeys, visits = [], []
+        for storey in range(len(floors.storeys)):
+            found = GrowingRooms(
+                self._local(walls, storey),
+                self._local(inside[inside_at == storey], storey),
+                [
+                    self._local(_seen_on(fan, floors, storey), storey)
+                    for fan, at in zip(fans, cameras, strict=True)
+                    if at == storey
+                ],
+                floors.storeys.headroom_m(storey),
+            )
+            rooms = np.full(len(fans), -1)
+            rooms[cameras == storey] = found.visits
+            self._storeys.append(found)
+            visits.append(rooms)
+        self.rooms = numbered_rooms([found.rooms for found in self._storeys], visits)
+
+    def rooms_of(self, points_m: Array, storeys: range) -> dict[int, float]:
+        """Share of points [N, 3] in each room of some storeys; walls belong to the nearest one.
+
+        Points count on their own storey if there are several, else all on the only one.
+        """
+        at = self._floors.at(points_m) if len(storeys) > 1 else np.full(len(points_m), storeys[0])
+        return {
+            self.rooms.number(storey, room): share * float((at == storey).mean())
+            for storey in storeys
+            for room, share in self._storeys[storey]
+            .rooms_of(self._local(points_m[at == storey], storey))
+            .items()
+        }
+
+    def describe(self, number: int) -> dict[str, Any]:
+        """Area, place and doors of a room as JSON values."""
+        storey, index = self.rooms.order[number]
+        found = self._storeys[storey]
+        rooms = found.rooms
+        return {
+            "name": f"room {number + 1}",
+            "number": number + 1,
+            "storey": storey + 1,
+            "area_m2": round(rooms.areas_m2[index], 2),
+            "size_m": found.size_m(index),
+            "centre_m": self._point_m(storey, rooms.centres[index]),
+            "doors": [
+                {
+                    "to_room": 1 + self.rooms.number(storey, (set(door.rooms) - {index}).pop()),
+                    "width_m": round(door.width_m, 2),
+                    "place_m": self._point_m(storey, door.cell),
+                }
+                for door in rooms.doors
+                if index in door.rooms
+            ],
+        }
+
+    def _local(self, points_m: Array, storey: int) -> Array:
+        """Points [..., 3] along the axes of the floor, with the height above that of a storey."""
+        ground = self._floors.of(storey)
+        return np.asarray(points_m @ ground.axes - [0.0, 0.0, ground.height_m])
+
+    def _point_m(self, storey: int, cell: tuple[int, int]) -> list[float]:
+        """The centre of a cell (row, column) on the floor as a point of the world."""
+        ground, place = self._floors.of(storey), self._storeys[storey].place(cell)
+        return (ground.axes @ np.append(place, ground.height_m)).round(4).tolist()
+
+
+def _seen_on(fan: Array, floors: Floors, storey: int) -> Array:
+    """The points of a fan, with the camera instead of those on other storeys."""
+    at = floors.at(fan.reshape(-1, 3)).reshape(fan.shape[:2])
+    return np.where((at == storey)[..., None], fan, fan[:1])

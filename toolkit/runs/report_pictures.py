@@ -28,8 +28,9 @@ from toolkit.semantics.floor_plan import (
     PlanDrawing,
     PlanEdge,
     PlanNode,
-    draw_floor_plan,
-    floor_plan,
+    draw_floor_plans,
+    floor_plans,
+    total_areas,
 )
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import LabelledMap
@@ -109,7 +110,7 @@ def report_floor_plan(
     names: LengthNames,
     graph: dict[str, Any] | None = None,
 ) -> ReportFloorPlan | None:
-    """Draw the floor plan of a labelled map.
+    """Draw the floor plan of each storey of a labelled map.
 
     Args:
         file: the splats of the map with labels.
@@ -127,15 +128,17 @@ def report_floor_plan(
         return None
     means_m = splats.means[opaque].astype(np.float64)
     labelled = LabelledMap(means_m, splats.labels.select(opaque), taxonomy)
-    ground = labelled.ground()
-    if ground is None:
+    floors = labelled.floors()
+    if floors is None:
         return None
     palette = Palette(taxonomy)
-    radii_m = cloud_of(splats).select(torch.from_numpy(opaque)).radii_seen_m(ground.up)
-    plan = floor_plan(labelled, radii_m, ground, cameras_m, palette)
-    drawing = None if graph is None else _graph_drawing(graph)
-    image = draw_floor_plan(plan, palette, legend=False, names=names, drawing=drawing)
-    return ReportFloorPlan(image, plan.areas, () if graph is None else _listed_objects(graph))
+    radii_m = cloud_of(splats).select(torch.from_numpy(opaque)).radii_seen_m(floors.ground.up)
+    plans = floor_plans(labelled, radii_m, floors, cameras_m, palette)
+    drawings = [] if graph is None else _graph_drawing(graph).by_storey(floors)
+    image = draw_floor_plans(plans, palette, legend=False, names=names, drawings=drawings)
+    return ReportFloorPlan(
+        image, total_areas(plans), () if graph is None else _listed_objects(graph)
+    )
 
 
 def _graph_drawing(graph: dict[str, Any]) -> PlanDrawing:
@@ -164,7 +167,7 @@ def _graph_drawing(graph: dict[str, Any]) -> PlanDrawing:
 def _listed_objects(graph: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Number, name and relations of each object of a scene graph in node-link format."""
     names = {
-        node["id"]: node["name"] if node["kind"] == "room" else f"{node['name']} ({node['id']})"
+        node["id"]: f"{node['name']} ({node['id']})" if "box" in node else node["name"]
         for node in graph["nodes"]
     }
     relations: dict[Any, list[str]] = {}

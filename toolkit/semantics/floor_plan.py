@@ -1,10 +1,11 @@
-"""Orthographic floor plans of labelled maps: classes seen from above, with their areas."""
+"""Orthographic floor plans of labelled maps, one per storey: classes from above, their areas."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from toolkit.io.visualisation import LegendEntry, RgbImage, with_legend
 from toolkit.semantics.boxes import Ground, floor_area_m2, oriented_box
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import CEILING_NAMES, LabelledMap
+from toolkit.semantics.storeys import Floors
 from toolkit.semantics.taxonomy import VOID
 
 Array = NDArray[np.float64]
@@ -24,6 +26,8 @@ PIXEL_M = 0.02
 _DISC_SIGMAS = 1.5
 _MAX_DISC = 6
 _MARGIN = 12
+# Height of the titles of storeys.
+_TITLE = 32
 # Small maps are enlarged to this width, and the map is thinned out beyond this size.
 _MIN_WIDTH, _MAX_SIDE = 480, 3000
 _MIN_AREA_M2 = 0.02
@@ -58,7 +62,7 @@ class ClassArea:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """A map seen from above.
+    """A storey of a map seen from above.
 
     Attributes:
         class_ids: [H, W] int32 class of the highest Gaussian at each pixel, 0 for void, -1 where
@@ -117,42 +121,75 @@ class PlanDrawing:
     nodes: Sequence[PlanNode] = ()
     edges: Sequence[PlanEdge] = ()
 
+    def by_storey(self, floors: Floors) -> list[PlanDrawing]:
+        """Return what lies on each storey; relations are drawn where both objects are."""
+        if len(floors.storeys) == 1:
+            return [self]
+        ends_m = np.array([(e.source_m, e.target_m) for e in self.edges]).reshape(-1, 3)
+        nodes_m = np.array([node.centre_m for node in self.nodes]).reshape(-1, 3)
+        rooms, doors, way, nodes = (
+            floors.at(points_m)
+            for points_m in (self.centres_m, self.doors_m, self.way_points_m, nodes_m)
+        )
+        ends = floors.at(ends_m).reshape(-1, 2)
+        return [
+            PlanDrawing(
+                list(compress(self.rooms, rooms == storey)),
+                self.centres_m[rooms == storey],
+                self.doors_m[doors == storey],
+                self.way_points_m[way == storey],
+                list(compress(self.nodes, nodes == storey)),
+                list(compress(self.edges, (ends == storey).all(axis=1))),
+            )
+            for storey in range(len(floors.storeys))
+        ]
 
-def floor_plan(
-    labelled: LabelledMap, radii_m: Array, ground: Ground, cameras_m: Array, palette: Palette
-) -> FloorPlan:
-    """Project a map onto its floor; ceilings are left out.
+
+def floor_plans(
+    labelled: LabelledMap, radii_m: Array, floors: Floors, cameras_m: Array, palette: Palette
+) -> list[FloorPlan]:
+    """Project each storey of a map onto its floor, the lowest first; ceilings are left out.
+
+    All plans show the same area, so that a place has the same pixel on each of them.
 
     Args:
         labelled: N Gaussians with labels.
         radii_m: [N] their standard deviations.
-        ground: the plane of the floor.
+        floors: planes of the floors.
         cameras_m: [P, 3] positions of the camera in the frame of the map.
         palette: colours of the classes.
     """
     ceilings = [k for k, name in enumerate(labelled.taxonomy.classes, 1) if name in CEILING_NAMES]
     shown = ~labelled.selected(labelled.known(CEILING_NAMES))
     shown &= ~np.isin(labelled.labels.label, ceilings)
-    axes = oriented_box(labelled.means_m[shown], ground).axes  # along the walls
-    points = labelled.means_m @ axes
+    axes = oriented_box(labelled.means_m[shown], floors.ground).axes  # along the walls
+    points, storey = labelled.means_m @ axes, floors.at(labelled.means_m)
     if shown.all():
-        shown = points[:, 2] <= np.percentile(points[:, 2], _TOP_PERCENT)
+        for number in np.unique(storey):
+            top_m = np.percentile(points[storey == number, 2], _TOP_PERCENT)
+            shown &= (storey != number) | (points[:, 2] <= top_m)
     visible = points[shown]
     side_m = float(np.ptp(visible[:, :2], axis=0).max())
     pixel_m = PIXEL_M * max(1, math.ceil(side_m / PIXEL_M / _MAX_SIDE))
     low = visible[:, :2].min(axis=0) - _MARGIN * pixel_m
     size = np.ceil((visible[:, :2].max(axis=0) - low) / pixel_m).astype(int) + _MARGIN
-    places = (visible[:, :2] - low) / pixel_m
-    sizes = np.minimum(np.rint(_DISC_SIGMAS * radii_m[shown] / pixel_m), _MAX_DISC).astype(int)
-    highest = _highest(places, sizes, visible[:, 2], (int(size[1]), int(size[0])))
-    class_ids = np.where(highest >= 0, labelled.labels.label[shown][highest], -1)
     T_pixels_map = np.column_stack([axes[:, :2].T, -low]) / pixel_m
     # The first row has the largest y.
     T_pixels_map[1] *= -1.0
     T_pixels_map[1, 3] += size[1]
     path = cameras_m @ T_pixels_map[:, :3].T + T_pixels_map[:, 3]
-    areas = _areas(labelled, shown, ground, palette)
-    return FloorPlan(class_ids[::-1].astype(np.int32), pixel_m, areas, path, T_pixels_map)
+    plans, path_storey = [], floors.at(cameras_m)
+    for number in range(len(floors.storeys)):
+        drawn = shown & (storey == number)
+        places = (points[drawn, :2] - low) / pixel_m
+        sizes = np.minimum(np.rint(_DISC_SIGMAS * radii_m[drawn] / pixel_m), _MAX_DISC).astype(int)
+        highest = _highest(places, sizes, points[drawn, 2], (int(size[1]), int(size[0])))
+        labels = np.append(labelled.labels.label[drawn], -1)
+        class_ids = labels[highest][::-1].astype(np.int32)
+        areas = _areas(labelled, drawn, floors.of(number), palette)
+        own = path[path_storey == number]
+        plans.append(FloorPlan(class_ids, pixel_m, areas, own, T_pixels_map))
+    return plans
 
 
 def _highest(
@@ -190,20 +227,56 @@ def _areas(
     return sorted(areas, key=lambda area: -area.area_m2)
 
 
-def draw_floor_plan(
-    plan: FloorPlan,
+def total_areas(plans: Sequence[FloorPlan]) -> list[ClassArea]:
+    """Return the areas of classes in all storeys, largest first."""
+    totals: dict[str, ClassArea] = {}
+    for area in (area for plan in plans for area in plan.areas):
+        known = totals.get(area.name)
+        sum_m2 = area.area_m2 + (0.0 if known is None else known.area_m2)
+        totals[area.name] = replace(area, area_m2=sum_m2)
+    return sorted(totals.values(), key=lambda area: -area.area_m2)
+
+
+def draw_floor_plans(
+    plans: Sequence[FloorPlan],
     palette: Palette,
     legend: bool = True,
     names: LengthNames = METRES,
-    drawing: PlanDrawing | None = None,
+    drawings: Sequence[PlanDrawing] = (),
 ) -> RgbImage:
-    """Return the picture of a floor plan: classes, camera path and scale.
+    """Return the picture of floor plans beside each other: classes, camera path and scale.
 
     Args:
+        plans: the plan of each storey.
         legend: append the classes with their areas.
         names: of lengths.
-        drawing: rooms and a path to draw over it.
+        drawings: rooms and a path to draw over each plan; none if empty.
     """
+    images = []
+    for number, plan in enumerate(plans):
+        image = _drawn(plan, palette, names, drawings[number] if drawings else None)
+        images.append(image if len(plans) == 1 else _titled(image, f"storey {number + 1}"))
+    image = np.concatenate(images, axis=1)
+    if not legend:
+        return image
+    shown = {edge.kind for drawing in drawings for edge in drawing.edges}
+    entries = [LegendEntry(kind, colour) for kind, colour in _RELATIONS.items() if kind in shown]
+    entries += [
+        LegendEntry(f"{a.name} {a.area_m2:.2f} {names.area}", a.colour) for a in total_areas(plans)
+    ]
+    return with_legend(image, entries)
+
+
+def _titled(image: RgbImage, title: str) -> RgbImage:
+    band = np.full((_TITLE, image.shape[1], 3), _BACKGROUND, np.uint8)
+    _write(band, title, (_MARGIN, _TITLE - 8))
+    return np.concatenate([band, image])
+
+
+def _drawn(
+    plan: FloorPlan, palette: Palette, names: LengthNames, drawing: PlanDrawing | None
+) -> RgbImage:
+    """Return the picture of one storey."""
     colours = np.concatenate([palette.classes, np.array([_BACKGROUND], np.uint8)])
     colours[VOID] = (150, 156, 164)
     image = colours[plan.class_ids]  # -1 is the background, the last row
@@ -217,12 +290,7 @@ def draw_floor_plan(
         _draw_rooms(image, plan, factor, drawing)
         _draw_graph(image, plan, factor, drawing)
     _draw_scale(image, factor / plan.pixel_m, names)
-    if not legend:
-        return image
-    shown = {edge.kind for edge in drawing.edges} if drawing is not None else set()
-    entries = [LegendEntry(kind, colour) for kind, colour in _RELATIONS.items() if kind in shown]
-    entries += [LegendEntry(f"{a.name} {a.area_m2:.2f} {names.area}", a.colour) for a in plan.areas]
-    return with_legend(image, entries)
+    return image
 
 
 def _draw_scale(image: RgbImage, pixels_per_m: float, names: LengthNames) -> None:
@@ -233,6 +301,12 @@ def _draw_scale(image: RgbImage, pixels_per_m: float, names: LengthNames) -> Non
     cv2.putText(image, text, (12, bottom - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
 
 
+def _write(image: RgbImage, text: str, place: tuple[int, int]) -> None:
+    """Write a text with a white outline; `place` is its lower left corner."""
+    for colour, width in (((255, 255, 255), 6), (_INK, 2)):
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.7, colour, width, cv2.LINE_AA)
+
+
 def _draw_rooms(image: RgbImage, plan: FloorPlan, factor: int, drawing: PlanDrawing) -> None:
     """Draw outlines, names and doors of rooms, and a path."""
     for (name, outlines), centre_m in zip(drawing.rooms, drawing.centres_m, strict=True):
@@ -240,11 +314,7 @@ def _draw_rooms(image: RgbImage, plan: FloorPlan, factor: int, drawing: PlanDraw
             points = np.rint(factor * plan.pixels(outline_m)).astype(np.int32)
             cv2.polylines(image, [points], True, _ROOM, 2, cv2.LINE_AA)
         x, y = np.rint(factor * plan.pixels(centre_m[None])[0]).astype(int).tolist()
-        for colour, width in (((255, 255, 255), 6), (_INK, 2)):
-            place = (x - 6 * len(name), y)
-            cv2.putText(
-                image, name, place, cv2.FONT_HERSHEY_SIMPLEX, 0.7, colour, width, cv2.LINE_AA
-            )
+        _write(image, name, (x - 6 * len(name), y))
     for door in np.rint(factor * plan.pixels(drawing.doors_m)).astype(int).tolist():
         cv2.circle(image, door, 5, _ROOM, -1, cv2.LINE_AA)
     if len(drawing.way_points_m) > 1:

@@ -36,11 +36,13 @@ class Place:
         name: for messages.
         footprint: [H, W] cells of the object or position on the grid.
         within: [H, W] cells from which it is reached, for instance those of its room; None for all.
+        storey: index of the storey whose grid this is.
     """
 
     name: str
     footprint: Mask
     within: Mask | None = None
+    storey: int = 0
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.semantics.boxes import Ground, OrientedBox, oriented_box
 from toolkit.semantics.options import ObjectOptions
+from toolkit.semantics.storeys import MIN_STOREY_M, Floors, Storeys, find_storeys, lowest_floor
 from toolkit.semantics.taxonomy import VOID, VOID_NAME, Node, Taxonomy
 
 Array = NDArray[np.float64]
@@ -128,20 +129,33 @@ class LabelledMap:
     def ground(self, floor: Sequence[str] = FLOOR_NAMES) -> Ground | None:
         """Return the plane of the floor, or None if it cannot be determined.
 
-        It is fitted to the classes of the floor. If there are none, it is the plane parallel to
+        It is fitted to the classes of the floor; if there are several storeys, it is the floor of
+        the lowest one. If there are none, it is the plane parallel to
         the ceiling at the height of the lowest Gaussians.
 
         Args:
             floor: classes and groups of the floor; names that are not in the tree are ignored.
         """
-        below = self._plane(floor)
-        if below is not None:
-            return below
+        members = self.selected(self.known(floor))
+        if members.any() and not members.all():
+            below = lowest_floor(self.means_m[members], self.means_m[~members])
+            if below is not None:
+                return below
         ceiling = self._plane(CEILING_NAMES)
         if ceiling is None:
             return None
         heights_m = self.means_m @ -ceiling.up
         return Ground(-ceiling.up, float(np.percentile(heights_m, _LOWEST_PERCENT)))
+
+    def floors(self, floor: Sequence[str] = FLOOR_NAMES) -> Floors | None:
+        """Return the floors of all storeys, or None without a plane of the floor; see `ground`."""
+        ground = self.ground(floor)
+        if ground is None:
+            return None
+        heights_m = self.means_m[self.selected(self.known(floor))] @ ground.up
+        storeys = find_storeys(heights_m, ground.height_m)
+        above = [h for h in storeys.heights_m if h - ground.height_m >= MIN_STOREY_M]
+        return Floors(ground, Storeys([ground.height_m, *above]))
 
     def _plane(self, names: Sequence[str]) -> Ground | None:
         """Fit a plane to some classes; its normal points towards the other Gaussians."""

@@ -8,6 +8,7 @@ from toolkit.errors import FormatError
 from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES
 from toolkit.semantics.relations import Role
 from toolkit.semantics.scene import WALL_NAMES
+from toolkit.semantics.storeys import StoreyKind
 from toolkit.semantics.taxonomy import Taxonomy
 
 # Classes that enclose rooms. A door that is open leaves its frame, a closed one separates.
@@ -35,6 +36,13 @@ class Roles:
         if _below(path, self._walls):
             return "wall"
         return "opening" if _below(path, self._enclosing) else "object"
+
+    def kind(self, path: tuple[str, ...]) -> StoreyKind:
+        """Return what a node is in a storey; ceilings count as structures."""
+        role = self.of(path)
+        if role == "object":
+            return "object"
+        return "floor" if role == "floor" and not self.is_ceiling(path) else "structure"
 
     def is_ceiling(self, path: tuple[str, ...]) -> bool:
         """Return whether a node is the ceiling or a part of it."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import html
 import re
 from collections import Counter
+from dataclasses import replace
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
@@ -26,7 +27,7 @@ from toolkit.runs.registering import relative_pose
 from toolkit.semantics.colour_names import COLOUR_NAMES
 from toolkit.semantics.lexicon.matching import match
 from toolkit.semantics.measures import free_width_m, surface_distance
-from toolkit.semantics.paths import PathFinder, Place
+from toolkit.semantics.paths import Place
 from toolkit.serving.options import EarlierRun
 from toolkit.serving.served_run import NotAvailableError, ServedRun
 
@@ -99,11 +100,13 @@ class MapTools:
             self._check_room(room)
             inside = [o for o in self._objects if room in o["rooms"]]
             return {**scene.describe_room(room - 1), **_counted(inside)}
-        rooms = [scene.describe_room(k) for k in range(len(scene.space.rooms))]
+        rooms = [scene.describe_room(k) for k in range(len(scene.building.rooms))]
+        storeys = scene.building.floors.storeys
         return {
             "run": shown(self._run.name),
             "unit": "metres" if scene.selection.run.metric else "arbitrary unit of length",
             "up": scene.ground.up.round(6).tolist(),
+            **({"storeys": len(storeys)} if len(storeys) > 1 else {}),
             "rooms": rooms[:MAX_RESULTS],
             **_counted(self._objects),
         }
@@ -122,7 +125,10 @@ class MapTools:
         distance = surface_distance(a, b)
         grid = scene.grid
         heights_m = grid.min_height_m, grid.max_height_m
-        width_m = free_width_m(a, b, scene.ground, scene.space.grid, heights_m)
+        storey, width_m = scene.storeys[number][0], None
+        if storey == scene.storeys[other][0]:
+            ground, space = scene.building.floors.of(storey), scene.building.spaces[storey]
+            width_m = free_width_m(a, b, ground, space.grid, heights_m)
         return {
             "objects": [self._objects[number], self._objects[other]],
             "distance_m": round(distance.distance_m, 3),
@@ -135,10 +141,12 @@ class MapTools:
         """Return the shortest free path between two objects or positions.
 
         Raises:
-            NoPathError: there is none; the message says how wide a path is.
+            NoPathError: there is none; the message says how wide a path is, or that both are on
+                different storeys.
         """
-        path = self._paths.shortest(self._place(start), self._place(goal), width_m)
-        rooms = self._scene.space.rooms.numbers[tuple(path.cells.T)]
+        ends = self._place(start), self._place(goal)
+        path = self._scene.path(*ends, width_m)
+        rooms = self._scene.building.rooms.numbers_of(ends[0].storey)[tuple(path.cells.T)]
         passed = [int(room) + 1 for room, _ in groupby(rooms[rooms >= 0])]
         return {
             "length_m": round(path.length_m, 2),
@@ -178,6 +186,7 @@ class MapTools:
     def _objects(self) -> list[dict[str, Any]]:
         """The short description of each object."""
         scene = self._scene
+        several = len(scene.building.floors.storeys) > 1
         described = [scene.describe(k) for k in range(len(scene.objects))]
         return [
             {
@@ -185,6 +194,7 @@ class MapTools:
                 "name": shown(item["name"]),
                 "colour": item["colour"],
                 "rooms": item["rooms"],
+                **({"storey": item["storey"]} if several else {}),
                 "centre_m": item["box"]["centre_m"],
                 "size_m": item["box"]["size_m"],
                 "confidence": item["confidence"],
@@ -226,7 +236,7 @@ class MapTools:
         return number
 
     def _check_room(self, room: int) -> None:
-        count = len(self._scene.space.rooms)
+        count = len(self._scene.building.rooms)
         if not 1 <= room <= count:
             raise NotAvailableError(f"there is no room {room}; the map has {count} rooms, from 1")
 
@@ -234,13 +244,8 @@ class MapTools:
         scene = self._scene
         if isinstance(end, int):
             place = scene.place(self._checked(end))
-            return Place(shown(place.name), place.footprint, place.within)
-        name = "({:.2f}, {:.2f}, {:.2f})".format(*end)
-        return Place(name, scene.space.grid.mask_of(np.array([end])))
-
-    @cached_property
-    def _paths(self) -> PathFinder:
-        return PathFinder(self._scene.space.grid)
+            return replace(place, name=shown(place.name))
+        return scene.place_at(np.array(end), "({:.2f}, {:.2f}, {:.2f})".format(*end))
 
     @cached_property
     def _changes(self) -> dict[str, Any]:

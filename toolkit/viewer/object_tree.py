@@ -52,9 +52,9 @@ class ObjectTree:
             objects = {one.number: one for one in self._view.scene.objects}
             for number, entry in list(self._entries.items()):
                 one = objects.get(number)
-                if one is None or one.room != entry.shown.room:
+                if one is None or _place(one) != _place(entry.shown):
                     self._entries.pop(number).button.remove()
-            self._update_rooms([one.room for one in objects.values()])
+            self._update_rooms([_place(one) for one in objects.values()])
             for one in objects.values():
                 self._update_entry(one)
             self._folder.visible = bool(objects)
@@ -70,7 +70,7 @@ class ObjectTree:
         for room in [name for name in self._rooms if name not in rooms]:
             self._rooms.pop(room).remove()
         for place, room in enumerate(dict.fromkeys(rooms)):
-            label = f"{room or 'no room'} ({rooms.count(room)})"
+            label = f"{room} ({rooms.count(room)})"
             if room not in self._rooms:
                 with self._folder:
                     self._rooms[room] = self._server.gui.add_folder(
@@ -85,7 +85,7 @@ class ObjectTree:
     def _update_entry(self, one: ShownObject) -> None:
         entry = self._entries.get(one.number)
         if entry is None:
-            with self._rooms[one.room]:
+            with self._rooms[_place(one)]:
                 button = self._server.gui.add_button(one.name, color=_COLOUR, order=one.number)
             button.on_click(lambda event: self._clicked(one.number, event.client))
             self._entries[one.number] = _Entry(one, button)
@@ -116,6 +116,12 @@ class ObjectTree:
         self._details.visible = chosen is not None
         if chosen is not None:
             self._details.content = _details_html(chosen)
+
+
+def _place(one: ShownObject) -> str:
+    """Name of the folder of an object."""
+    room = one.room or "no room"
+    return f"{one.storey}, {room}" if one.storey else room
 
 
 def _details_html(chosen: ShownObject) -> str:

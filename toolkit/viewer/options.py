@@ -19,6 +19,6 @@ class ShownContent:
     image_width: PositiveInt = 240
     """Maximum width of keyframe images, in pixels."""
     graph: bool = False
-    """Show the scene graph of a labelled map as a tree of rooms and objects, whose entries mark the
-    object in the view. Only in the page of `semsplat export`; `semsplat view` shows the graph of
-    runs with --scene.graph."""
+    """Show the scene graph of a labelled map as a tree of storeys (if there are several), rooms and
+    objects, whose entries mark the object in the view. Only in the page of `semsplat export`;
+    `semsplat view` shows the graph of runs with --scene.graph."""

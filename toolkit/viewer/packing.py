@@ -107,6 +107,7 @@ def _header(scene: ViewerScene) -> dict[str, Any]:
                 "room": one.room,
                 "corners": one.corners_m.round(4).ravel().tolist(),
                 "relations": list(one.relations),
+                "storey": one.storey,
             }
             for one in scene.objects
         ],

@@ -199,6 +199,7 @@ class ShownObject:
         corners_m: [8, 3] corners of its box; corner i is at the upper end of axis a if bit a of i
             is set.
         relations: lines about its relations.
+        storey: name of its storey, empty if there is only one.
     """
 
     number: int
@@ -206,6 +207,7 @@ class ShownObject:
     room: str
     corners_m: NDArray[np.float64]
     relations: tuple[str, ...] = ()
+    storey: str = ""
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,7 @@ class ViewerScene:
         loops: verified loops.
         notes: lines about lost and doubtful frames, separate parts of the map and its unit.
         length: name of the unit of length.
-        objects: of the scene graph, by room; empty without one.
+        objects: of the scene graph, by storey and room; empty without one.
     """
 
     title: str

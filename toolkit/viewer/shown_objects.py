@@ -19,7 +19,7 @@ _SIGNS = np.array([corner[::-1] for corner in itertools.product((-0.5, 0.5), rep
 
 
 def shown_objects(scene: MappedScene) -> tuple[ShownObject, ...]:
-    """Return the objects in rooms, by room and then by their numbers in the scene graph."""
+    """Return the objects in rooms, by storey, room and their numbers in the scene graph."""
     names = {number: f"{found.node.name} {number}" for number, found in enumerate(scene.objects)}
     lines = _relation_lines(((r.source, r.target, r.kind) for r in scene.relations), names)
     rows = []
@@ -28,10 +28,13 @@ def shown_objects(scene: MappedScene) -> tuple[ShownObject, ...]:
             continue
         box = found.box
         corners = _corners_m(box.centre_m, box.size_m, box.axes)
-        room = next(iter(scene.rooms_of(number)), len(scene.space.rooms))
-        name = f"room {room + 1}" if room < len(scene.space.rooms) else ""
+        room = next(iter(scene.rooms_of(number)), len(scene.building.rooms))
+        name = f"room {room + 1}" if room < len(scene.building.rooms) else ""
+        level = scene.storeys[number][0]
+        storey = f"storey {level + 1}" if len(scene.building.spaces) > 1 else ""
         related = tuple(lines.get(number, ()))
-        rows.append((room, ShownObject(number, names[number], name, corners, related)))
+        one = ShownObject(number, names[number], name, corners, related, storey)
+        rows.append((level, room, one))
     return _in_order(rows)
 
 
@@ -41,7 +44,8 @@ def graph_objects(graph: Mapping[str, Any]) -> tuple[ShownObject, ...]:
     Raises:
         KeyError, TypeError, ValueError: it is no scene graph.
     """
-    things = [node for node in graph["nodes"] if node["kind"] != "room"]
+    things = [node for node in graph["nodes"] if node["kind"] in ("object", "structure")]
+    several = len(graph["graph"]["storeys_m"]) > 1
     names = {int(node["id"]): f"{node['name']} {node['id']}" for node in things}
     ends = ((edge["source"], edge["target"], edge["relation"]) for edge in graph["edges"])
     lines = _relation_lines((end for end in ends if end[1] in names), names)
@@ -53,8 +57,11 @@ def graph_objects(graph: Mapping[str, Any]) -> tuple[ShownObject, ...]:
         corners = _corners_m(box["centre_m"], box["size_m"], box["axes"])
         rooms = [int(room) for room in node["rooms"]]
         room = f"room {rooms[0]}" if rooms else ""
-        one = ShownObject(number, names[number], room, corners, tuple(lines.get(number, ())))
-        rows.append((rooms[0] if rooms else len(graph["nodes"]) + 1, one))
+        level = int(node["storey"])
+        storey = f"storey {level}" if several else ""
+        related = tuple(lines.get(number, ()))
+        one = ShownObject(number, names[number], room, corners, related, storey)
+        rows.append((level, rooms[0] if rooms else len(graph["nodes"]) + 1, one))
     return _in_order(rows)
 
 
@@ -91,6 +98,6 @@ def _corners_m(centre_m: ArrayLike, size_m: ArrayLike, axes: ArrayLike) -> NDArr
     return np.asarray(corners, np.float64)
 
 
-def _in_order(rows: list[tuple[int, ShownObject]]) -> tuple[ShownObject, ...]:
-    """Objects with the number of their room, by both numbers."""
-    return tuple(one for _, one in sorted(rows, key=lambda row: (row[0], row[1].number)))
+def _in_order(rows: list[tuple[int, int, ShownObject]]) -> tuple[ShownObject, ...]:
+    """Objects with the numbers of their storey and room, by all three numbers."""
+    return tuple(one for *_, one in sorted(rows, key=lambda row: (*row[:2], row[2].number)))

@@ -57,21 +57,21 @@ class Panel {
     byId("query").oninput = () => this.search(byId("query").value);
   }
 
-  /** The scene graph as a tree: rooms, and the objects in them. */
+  /** The scene graph as a tree: storeys if there are several, rooms, and the objects in them. */
   buildGraph() {
     const objects = this.scene.objects ?? [];
     byId("graph").hidden = !objects.length;
     this.entries = [];
-    const rooms = new Map();
-    objects.forEach((object, number) => {
-      if (!rooms.has(object.room)) rooms.set(object.room, []);
-      rooms.get(object.room).push(number);
-    });
-    for (const [room, numbers] of rooms) {
-      const branch = element("details", { open: rooms.size === 1 });
-      branch.append(element("summary", { textContent: `${room || "no room"} (${numbers.length})` }));
-      for (const number of numbers) branch.append(...this.objectEntry(number));
-      byId("graph").append(branch);
+    const all = objects.map((_, number) => number);
+    for (const [storey, numbers] of grouped(all, (number) => objects[number].storey ?? "")) {
+      const top = storey ? branch(storey, numbers, true) : byId("graph");
+      const rooms = grouped(numbers, (number) => objects[number].room);
+      for (const [room, inside] of rooms) {
+        const entry = branch(room || "no room", inside, rooms.size === 1);
+        for (const number of inside) entry.append(...this.objectEntry(number));
+        top.append(entry);
+      }
+      if (storey) byId("graph").append(top);
     }
   }
 
@@ -257,6 +257,24 @@ function countsText({ count, total, stream }) {
   const number = (value) => value.toLocaleString("en");
   if (stream) return `${number(total)} Gaussians, at most ${number(stream.budget)} at once`;
   return count < total ? `${number(count)} of ${number(total)} Gaussians` : `${number(count)} Gaussians`;
+}
+
+/** The values with the same key, in their order. */
+function grouped(values, keyOf) {
+  const groups = new Map();
+  for (const value of values) {
+    const key = keyOf(value);
+    if (!groups.has(key)) groups.set(key, []);
+    groups.get(key).push(value);
+  }
+  return groups;
+}
+
+/** A branch of the tree of objects, with their number. */
+function branch(name, objects, open) {
+  const details = element("details", { open });
+  details.append(element("summary", { textContent: `${name} (${objects.length})` }));
+  return details;
 }
 
 function element(name, properties = {}) {
