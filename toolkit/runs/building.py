@@ -58,12 +58,16 @@ def build_slam(
     taxonomy = labeller.taxonomy if labeller else None
     code = build_code(settings.semantics.code, taxonomy) if taxonomy else None
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
+    names = None if taxonomy is None else dict(enumerate(taxonomy.classes, start=1))
+    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
+    continues = settings.map is not None
+    instances = build_instances(settings.instances, names, stems, continues)
     front_end = mode_of(settings).front_end(
         FrontEndParts(
             settings,
             dataset,
             recorder,
-            ClosingContext(settings.seed, settings.backend, semantics, taxonomy),
+            ClosingContext(settings.seed, settings.backend, semantics, taxonomy, instances),
             code,
             folder,
             # The unit may follow from the first frame, long before the first record.
@@ -84,10 +88,6 @@ def build_slam(
     submaps = folder.submaps if folder else None
     atlas = build_atlas(settings.submaps, mapper.first_submap(), labeller, submaps)
     sources = FrameSources(labeller, settings.denoise)
-    names = None if taxonomy is None else dict(enumerate(taxonomy.classes, start=1))
-    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
-    continues = settings.map is not None
-    instances = build_instances(settings.instances, names, stems, continues)
     slam = Slam(front_end, mapper, atlas, sources, recorder, instances)
     if settings.scene.graph:
         if taxonomy is None:

@@ -524,7 +524,7 @@ class TestState:
         _, closer, _ = closed(frames)
         objects = ObjectHypotheses(SimpleNamespace(), 30)
         closer._parts = replace(closer._parts, objects=objects)
-        one = Constellation(np.array([3]), np.ones((1, 3)), np.array([0.5]))
+        one = Constellation(np.array([3]), np.ones((1, 3)), np.array([0.5]), np.eye(1))
         objects._known = {2: (7, one)}
         state = closer.state()
         objects._known = {}

@@ -46,7 +46,9 @@ class Submaps:
 
     def submap(self, number):
         self.read += 1
-        return SimpleNamespace(gaussians=self.clouds[number])
+        return SimpleNamespace(
+            gaussians=self.clouds[number], number=number, T_world_submap=np.eye(4)
+        )
 
 
 class Semantics:
@@ -67,8 +69,21 @@ def submaps():
     )
 
 
-def hypotheses(gap=30):
-    return ObjectHypotheses(Semantics(), gap)
+class Blocks:
+    """Every block of Gaussians is an instance, of the submaps that have masks."""
+
+    def __init__(self, *masked):
+        self.masked = masked
+
+    def of_points(self, submap, points_m, T_world_submap):
+        return np.repeat(np.arange(7) + 5, 300) if submap in self.masked else None
+
+    def embeddings(self, numbers):
+        return {int(n): np.eye(8, dtype=np.float32)[n - 5] for n in numbers if n != 6}
+
+
+def hypotheses(gap=30, instances=None):
+    return ObjectHypotheses(Semantics(), gap, instances)
 
 
 def test_objects_give_the_pose_and_the_views_of_one_place(submaps):
@@ -78,6 +93,19 @@ def test_objects_give_the_pose_and_the_views_of_one_place(submaps):
     assert len(found.match.pairs) == len(CENTRES_M)
     # The other view of the old submap looks elsewhere, and the other query is far away.
     assert found.pairs == [(100, 10)]
+
+
+@pytest.mark.parametrize("masked", [(0, 1), (1,)])
+def test_instances_are_objects_where_a_submap_has_masks(submaps, masked):
+    """Only their embeddings tell seven objects of one class apart."""
+    for cloud in submaps.clouds:
+        cloud.features.fill_(3.0)
+    found = hypotheses(instances=Blocks(*masked)).of(submaps, 0, 1, [100])
+    if masked == (0, 1):
+        difference = se3.log(se3.inverse(T) @ found.edge.T_first_second)
+        assert np.linalg.norm(difference) < 0.05 and found.pairs == [(100, 10)]
+    else:
+        assert found is None
 
 
 def test_too_few_objects_and_frames_in_succession_are_no_hypothesis(submaps):
@@ -98,7 +126,7 @@ def test_a_submap_is_read_again_only_if_it_has_grown(submaps):
 
 
 def test_a_resumed_run_compares_the_objects_that_an_uninterrupted_one_remembers(submaps):
-    known, resumed = hypotheses(), hypotheses()
+    known, resumed = (hypotheses(instances=Blocks(0, 1)) for _ in range(2))
     expected = known.of(submaps, 0, 1, [100])
     resumed.restore(known.state())
     # Optimisation moves the Gaussians of a submap that gets no further keyframes.

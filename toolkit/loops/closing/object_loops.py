@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,16 +48,42 @@ class ObjectHypothesis:
     pairs: list[tuple[int, int]]
 
 
+class SubmapInstances(Protocol):
+    """The instances of a run so far."""
+
+    def of_points(
+        self, submap: int, points_m: Array, T_world_submap: Array
+    ) -> NDArray[np.int32] | None:
+        """Return the instances [N] of points of a submap, 0 for none; None if it has no masks.
+
+        Args:
+            submap: its number.
+            points_m: [N, 3] in the frame of the submap.
+            T_world_submap: [4, 4].
+        """
+        ...
+
+    def embeddings(self, numbers: NDArray[np.integer]) -> Mapping[int, NDArray[np.float32]]:
+        """Return the embeddings [D] of those instances that have one, of unit length."""
+        ...
+
+
 class ObjectHypotheses:
     """Compares the objects of submaps; remembers them once they were computed.
 
     Args:
         semantics: decoder of the Gaussians' features.
         min_gap_frames: minimum number of frames between query and match.
+        instances: of the run; by default, objects are connected components of classes.
     """
 
-    def __init__(self, semantics: SemanticMapping, min_gap_frames: int) -> None:
-        self._semantics, self._min_gap = semantics, min_gap_frames
+    def __init__(
+        self,
+        semantics: SemanticMapping,
+        min_gap_frames: int,
+        instances: SubmapInstances | None = None,
+    ) -> None:
+        self._semantics, self._min_gap, self._instances = semantics, min_gap_frames, instances
         # By submap, with the number of keyframes at that time: a submap can be entered again.
         self._known: dict[int, tuple[int, Constellation]] = {}
 
@@ -135,4 +162,9 @@ class ObjectHypotheses:
         solid = cloud.opacities.reshape(-1) >= _MIN_OPACITY
         decoding = self._semantics.decode_gaussians(cloud.features[solid])
         class_ids = np.where(decoding.confidence >= _MIN_CONFIDENCE, decoding.class_ids, 0)
-        return Constellation.of(cloud.means[solid].numpy().astype(np.float64), class_ids)
+        points_m = cloud.means[solid].numpy().astype(np.float64)
+        if self._instances is None:
+            return Constellation.of(points_m, class_ids)
+        ids = self._instances.of_points(submap.number, points_m, submap.T_world_submap)
+        embeddings = {} if ids is None else self._instances.embeddings(np.unique(ids))
+        return Constellation.of(points_m, class_ids, ids, embeddings)
