@@ -123,12 +123,11 @@ def _most_frequent(
     owners: NDArray[np.int64], class_ids: NDArray[np.int64], chosen: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """The class [K] of most labelled points of each of the chosen owners, 0 without any."""
-    cells, counts = np.unique(
-        np.stack([owners, class_ids])[:, class_ids > 0], axis=1, return_counts=True
-    )
+    classes = int(class_ids.max(initial=0)) + 1
+    cells, counts = np.unique((owners * classes + class_ids)[class_ids > 0], return_counts=True)
+    owner, class_id = np.divmod(cells[np.argsort(counts, kind="stable")], classes)
     table = np.zeros(int(owners.max(initial=0)) + 1, np.int64)
-    order = np.argsort(counts, kind="stable")
-    table[cells[0, order]] = cells[1, order]
+    table[owner] = class_id  # of several values, the last one remains
     return table[chosen]
 
 
