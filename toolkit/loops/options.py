@@ -66,8 +66,8 @@ class LandmarkOptions:
 
 @dataclass(frozen=True)
 class ObjectOptions:
-    """Loop candidates from constellations of objects, whatever their appearance: of the instances
-    of --instances if they are on, else of the connected parts of each class. They need labels of
+    """Loop candidates from constellations of objects, whatever their appearance: of the connected
+    parts of each class, and of the instances of --instances if they are on. They need labels of
     object classes."""
 
     use: bool = False

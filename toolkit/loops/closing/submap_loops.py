@@ -185,20 +185,21 @@ class SubmapLoops:
         queries: Sequence[int],
         odometry: Sequence[PoseEdge],
     ) -> ObjectHypothesis | None:
-        """The relative pose of two submaps from their objects, if the odometry permits it."""
+        """The first relative pose of two submaps from their objects that the odometry permits."""
         assert self._parts.objects is not None
+        values = {"first": submaps[0], "second": submaps[1]}
         try:
-            found = self._parts.objects.of(atlas, *submaps, queries)
+            hypotheses = self._parts.objects.of(atlas, *submaps, queries)
         except ToolkitError as error:
-            values = {"first": submaps[0], "second": submaps[1]}
             self._record("objects", values | verdict(str(error)))
             return None
-        if found is None:
-            return None
-        reason = self._contradiction(odometry, found.edge)
-        values = {"first": submaps[0], "second": submaps[1], "objects": len(found.match.pairs)}
-        self._record("objects", values | {"error_m": found.match.error_m} | verdict(reason))
-        return None if reason else found
+        for found in hypotheses:
+            reason = self._contradiction(odometry, found.edge)
+            agreeing = {"objects": len(found.match.pairs), "error_m": found.match.error_m}
+            self._record("objects", values | agreeing | verdict(reason))
+            if not reason:
+                return found
+        return None
 
     def _close_by_objects(
         self,
