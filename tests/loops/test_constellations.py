@@ -121,6 +121,20 @@ class TestInstances:
         )
         assert match_constellations(first, second) is None
 
+    def test_of_many_pairs_those_with_similar_embeddings_are_compared(self, rng):
+        """All pairs are the only ones of their class, and wrong ones are of more equal sizes."""
+        vectors = np.eye(48)
+        others = np.concatenate([vectors[:6], vectors[6:] + np.roll(vectors[6:], 1, axis=0)])
+        others /= np.linalg.norm(others, axis=1, keepdims=True)
+        centres = np.concatenate([CENTRES_M[:6], 5.0 * rng.random((42, 3))])
+        wrong = np.concatenate([moved(CENTRES_M[:6]), 5.0 * rng.random((42, 3))])
+        sizes = np.repeat([0.3, 0.2], [6, 42])
+        found = match_constellations(
+            Constellation(np.arange(1, 49), centres, np.full(48, 0.2), vectors),
+            Constellation(np.arange(1, 49), wrong, sizes, others),
+        )
+        assert found is not None and max(error(found)) < 1e-6
+
     def test_embeddings_of_one_map_alone_change_nothing(self, rng):
         known = {20: np.array([1.0, 0.0]), 21: np.array([0.0, 1.0])}
         first, second = (

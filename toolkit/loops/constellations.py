@@ -223,7 +223,7 @@ def _similarities(
     Encoders differ in the similarity of unrelated images, which the mean removes.
     """
     known = np.logical_and.outer(first.any(axis=1), second.any(axis=1))
-    if first.shape[1] != second.shape[1] or not known.any():
+    if not known.any():  # also where only one of both has embeddings
         return np.zeros(known.shape), np.zeros_like(known)
     cosines = (first @ second.T).astype(np.float64)
     return np.where(known, cosines - cosines[known].mean(), 0.0), known
