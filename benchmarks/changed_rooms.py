@@ -28,8 +28,8 @@ errors). There, most objects have moved (ring-moved), the lamps are off (ring-li
 moved and one warm lamp is on (ring-evening), every surface is repainted in this light
 (ring-repainted), or all of this (ring-changed). Runs without the final refinement, with loops from
 images alone and with constellations of objects (`--loops.objects.use`) where images do not match.
-The objects are connected components of the classes of Gaussians, instances from true masks, or
-instances from masks of `--instances.kind geometric`.
+The objects are connected components of the classes of Gaussians. In the rows with instances, those
+from true masks or from masks of `--instances.kind geometric` are compared as well.
 "Suspected" metrics are those of the candidates by descriptors, "verified" those of the loops held
 at the end. A false edge places an anchor more than half a metre from where the truth has it. In
 twins, two of three rooms are identical."""

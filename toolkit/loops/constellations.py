@@ -1,10 +1,10 @@
 """Constellations of objects: a relative pose of two submaps from the classes and places of objects.
 
-Light, colours and textures do not matter, and objects that have moved are outliers. Objects are the
-instances of a run, or else the connected components of each class. Pairs of objects of one class
-and similar size are the nodes of a graph, and two pairs are connected if the distances between
-their objects agree in both submaps. The largest clique gives the pose. It is a candidate only:
-identical rooms have identical constellations.
+Light, colours and textures do not matter, and objects that have moved are outliers. Objects are
+connected components of classes, or instances. Pairs of objects of one class and similar size are
+the nodes of a graph, and two pairs are connected if the distances between their objects agree in
+both submaps. The largest clique gives the pose. It is a candidate only: identical rooms have
+identical constellations.
 """
 
 from __future__ import annotations

@@ -114,6 +114,10 @@ def test_components_are_compared_as_well_and_come_second_if_fewer_agree(submaps)
     assert [len(one.match.pairs) for one in found] == [6, 5]
 
 
+def test_without_masks_the_same_objects_are_not_compared_twice(submaps):
+    assert len(hypotheses(instances=Blocks()).of(submaps, 0, 1, [100])) == 1
+
+
 def test_too_few_objects_and_frames_in_succession_are_no_hypothesis(submaps):
     assert hypotheses(gap=91).of(submaps, 0, 1, [100]) == []
     assert hypotheses().of(submaps, 0, 1, [110]) == []
@@ -133,11 +137,11 @@ def test_a_submap_is_read_again_only_if_it_has_grown(submaps):
 
 def test_a_resumed_run_compares_the_objects_that_an_uninterrupted_one_remembers(submaps):
     known, resumed = (hypotheses(instances=Blocks(0, 1)) for _ in range(2))
-    expected, _ = known.of(submaps, 0, 1, [100])
+    expected = known.of(submaps, 0, 1, [100])[0]
     resumed.restore(known.state())
     # Optimisation moves the Gaussians of a submap that gets no further keyframes.
     submaps.clouds[0].means.add_(0.02 * torch.randn(submaps.clouds[0].means.shape))
-    found, _ = resumed.of(submaps, 0, 1, [100])
+    found = resumed.of(submaps, 0, 1, [100])[0]
     assert submaps.read == 2
     assert np.array_equal(found.edge.T_first_second, expected.edge.T_first_second)
     assert found.match.error_m == expected.match.error_m

@@ -116,7 +116,9 @@ class ObjectHypotheses:
                 continue
             edge = PoseEdge.loop(first, second, match.T_first_second, information_of(covariance))
             pairs = self._alike(*poses, match.T_first_second, queries)
-            found += [ObjectHypothesis(edge, match, pairs)] if pairs else []
+            # Of two submaps without masks, both kinds of objects are components.
+            again = any(np.array_equal(edge.T_first_second, e.edge.T_first_second) for e in found)
+            found += [ObjectHypothesis(edge, match, pairs)] if pairs and not again else []
         return sorted(found, key=lambda one: -len(one.match.pairs))
 
     def state(self) -> dict[str, NDArray]:
