@@ -110,7 +110,7 @@ class ObjectHypotheses:
         matches = [match_constellations(a, b) for a, b in zip(*known, strict=True)]
         covariance = np.diag([_SIGMA_M**2] * 3 + [_SIGMA_RAD**2] * 3)
         poses = atlas.keyframe_poses(first), atlas.keyframe_poses(second)
-        found = []
+        found: list[ObjectHypothesis] = []
         for match in matches:
             if match is None or len(match.pairs) < _MIN_OBJECTS:
                 continue
