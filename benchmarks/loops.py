@@ -158,9 +158,14 @@ def each_seed(rows: Rows, seeds: int) -> Table:
 
 
 def measure(job: Values, seed: int) -> Metrics:
-    """Metrics of one run with these settings of loop closure, without refinement."""
+    """Metrics of one run with these settings of loop closure, without refinement.
+
+    Args:
+        job: its "instances" are the kind of masks, those of the folder being true ones.
+    """
     name, size = job["sequence"], job["image_size"]
     kind, place = location(name, seed)
+    masks = job.get("instances", "none")
     settings = validated(
         RunSettings,
         {
@@ -168,6 +173,10 @@ def measure(job: Values, seed: int) -> Metrics:
             "image_size": size,
             "mapping": {"final_iterations": 0},
             "loops": job["loops"],
+            "instances": {
+                "kind": masks,
+                "path": str(place / "instances") if masks == "folder" else None,
+            },
             "seed": seed,
         },
     )

@@ -48,6 +48,16 @@ def test_moved_gaussians_keep_their_objects():
     assert len(saved.of(0, np.zeros((0, 3)))) == 0
 
 
+def test_loaded_submaps_have_the_objects_of_their_map():
+    tracker = InstanceTracker(InstanceOptions(), None)
+    tracker.load(panels((4, 9)), 0)
+    points = panels((4, 9)).points_m - MOVED[:3, 3]
+    found = tracker.of_points(0, points, MOVED)
+    np.testing.assert_array_equal(found, panels((4, 9)).ids)
+    assert tracker.of_points(1, points, MOVED) is None
+    np.testing.assert_allclose(tracker.embeddings(np.array([0, 9]))[9], fused(1.0, 1).embedding)
+
+
 def test_carried_objects_are_counted_anew_and_those_without_gaussians_are_gone():
     saved = panels((3, 5))
     found = saved.carried({0: np.full(7, 5, np.int32), 2: np.array([0, 5], np.int32)})

@@ -42,6 +42,16 @@ def test_ids_that_restart_in_every_frame_are_the_same_objects():
         )
 
 
+def test_points_of_a_submap_have_the_objects_of_their_voxels_so_far():
+    tracker = tracked([panel_image()] * 2)
+    points_m = np.array([[-0.5, 0.1, 2.0], [0.5, 0.1, 2.0], [0.5, 0.1, 9.0]])
+    left, right, nothing = tracker.of_points(0, points_m, np.eye(4)).tolist()
+    mask = panel_image()[0]
+    assert [left, right] == [current_objects(tracker, 0)[mask[x] - 1] for x in (0, -1)]
+    assert nothing == 0
+    assert tracker.of_points(1, points_m, np.eye(4)) is None
+
+
 def test_a_mask_of_two_known_objects_does_not_merge_them():
     images = [panel_image()] * 4 + [one(panel_image())] + [panel_image()] * 2
     tracker = tracked(images)

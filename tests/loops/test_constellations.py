@@ -61,6 +61,89 @@ def test_void_and_nothing_are_no_objects(rng):
     assert len(Constellation.of(np.zeros((0, 3)), np.zeros(0, int))) == 0
 
 
+class TestInstances:
+    """Instances [N] take the place of connected components."""
+
+    IDS = np.repeat(np.arange(8) + 20, 400)
+
+    def test_touching_objects_are_two_and_the_parts_of_one_are_one(self, rng):
+        parts = np.array([[0, 0, 0], [0.24, 0, 0], [1, 1, 0], [1.5, 1, 0.0]])
+        points, ids = blocks(parts, rng), np.repeat([3, 4, 7, 7], 400)
+        components = Constellation.of(points, np.full(1600, 2))
+        found = Constellation.of(points, np.full(1600, 2), ids)
+        places = np.array([[0, 0, 0], [0.24, 0, 0], [1.25, 1, 0]])
+        apart = np.linalg.norm(found.centres_m[:, None] - places[None], axis=2)
+        assert len(components) == 3 and len(found) == 3
+        assert (apart.min(axis=0) < 0.04).all()
+        assert not (np.linalg.norm(components.centres_m - places[1], axis=1) < 0.1).any()
+
+    def test_the_class_of_an_instance_is_that_of_most_of_its_labelled_points(self, rng):
+        labels = np.repeat(CLASSES, 400)
+        labels[rng.random(len(labels)) < 0.5] = 0
+        labels[rng.random(len(labels)) < 0.2] = 9
+        found = Constellation.of(blocks(CENTRES_M, rng), labels, self.IDS)
+        order = [np.linalg.norm(found.centres_m - c, axis=1).argmin() for c in CENTRES_M]
+        np.testing.assert_array_equal(found.class_ids[order], CLASSES)
+
+    def test_points_without_an_instance_are_objects_of_classes_without_masks(self, rng):
+        """The rim that masks leave out of an object is none."""
+        points, labels = blocks(CENTRES_M, rng), np.repeat(CLASSES, 400)
+        inside = points[:, 0] > np.repeat(CENTRES_M[:, 0], 400) - 0.06
+        ids = np.where(inside & (labels < 6), self.IDS, 0)
+        found = Constellation.of(points, labels, ids)
+        assert sorted(found.class_ids) == sorted(CLASSES)
+
+    def test_an_instance_without_a_class_needs_an_embedding(self, rng):
+        points, void = blocks(CENTRES_M, rng), np.zeros(3200, int)
+        assert len(Constellation.of(points, void, self.IDS)) == 0
+        found = Constellation.of(points, void, self.IDS, {22: np.array([0.6, 0.8])})
+        np.testing.assert_allclose(found.embeddings, [[0.6, 0.8]])
+        np.testing.assert_allclose(found.centres_m, CENTRES_M[2:3], atol=0.03)
+
+    @pytest.mark.parametrize("class_id", [0, 2])
+    def test_embeddings_tell_many_objects_of_one_class_apart(self, rng, class_id):
+        """As `test_the_pose_follows_from_objects_although_some_moved` without different classes."""
+        vectors = np.eye(8) + 0.2 * rng.standard_normal((8, 8))
+        vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+        known = dict(zip(range(20, 28), vectors, strict=True))
+        centres = moved(CENTRES_M)
+        centres[[1, 5]] += [[0.9, 0.3, 0.0], [0.0, -1.1, 0.2]]
+        labels = np.full(3200, class_id)
+        found = match_constellations(
+            Constellation.of(blocks(CENTRES_M, rng), labels, self.IDS, known),
+            Constellation.of(blocks(centres, rng), labels, self.IDS, known),
+        )
+        assert len(found.pairs) == 6 and max(error(found)) < 0.03
+        assert (found.pairs[:, 0] == found.pairs[:, 1]).all()
+        first, second = (
+            Constellation.of(blocks(c, rng), np.full(3200, 2), self.IDS)
+            for c in (CENTRES_M, centres)
+        )
+        assert match_constellations(first, second) is None
+
+    def test_of_many_pairs_those_with_similar_embeddings_are_compared(self, rng):
+        """All pairs are the only ones of their class, and wrong ones are of more equal sizes."""
+        vectors = np.eye(48)
+        others = np.concatenate([vectors[:6], vectors[6:] + np.roll(vectors[6:], 1, axis=0)])
+        others /= np.linalg.norm(others, axis=1, keepdims=True)
+        centres = np.concatenate([CENTRES_M[:6], 5.0 * rng.random((42, 3))])
+        wrong = np.concatenate([moved(CENTRES_M[:6]), 5.0 * rng.random((42, 3))])
+        sizes = np.repeat([0.3, 0.2], [6, 42])
+        found = match_constellations(
+            Constellation(np.arange(1, 49), centres, np.full(48, 0.2), vectors),
+            Constellation(np.arange(1, 49), wrong, sizes, others),
+        )
+        assert found is not None and max(error(found)) < 1e-6
+
+    def test_embeddings_of_one_map_alone_change_nothing(self, rng):
+        known = {20: np.array([1.0, 0.0]), 21: np.array([0.0, 1.0])}
+        first, second = (
+            Constellation.of(blocks(c, rng), np.repeat(CLASSES, 400), self.IDS, embeddings)
+            for c, embeddings in ((CENTRES_M, known), (moved(CENTRES_M), None))
+        )
+        assert len(match_constellations(first, second).pairs) == 8
+
+
 def test_the_pose_follows_from_objects_although_some_moved(rng):
     first = objects(CENTRES_M, CLASSES, rng)
     centres = moved(CENTRES_M)

@@ -27,10 +27,12 @@ def server():
 
 def node(number: int, name: str, kind: str = "object", rooms: tuple[int, ...] = (1,)) -> dict:
     box = {"centre_m": [1.0, 0.0, 2.0], "size_m": [2.0, 4.0, 6.0], "axes": np.eye(3).tolist()}
-    return {"id": number, "kind": kind, "name": name, "box": box, "rooms": list(rooms)}
+    own = {"id": number, "kind": kind, "name": name, "storey": 1}
+    return {**own, "box": box, "rooms": list(rooms)}
 
 
 GRAPH = {
+    "graph": {"storeys_m": [0.0]},
     "nodes": [
         node(2, "floor", "structure"),
         node(7, "chair", rooms=()),
@@ -88,6 +90,18 @@ def test_objects_of_a_graph_are_in_order_with_their_relations():
     ]
     assert objects[0].corners_m[0].tolist() == [0.0, -2.0, -1.0]
     assert objects[0].corners_m[1].tolist() == [2.0, -2.0, -1.0]
+
+
+def test_folders_name_the_storey_if_there_are_several(server):
+    nodes = [one | {"storey": 2} if one.get("name") == "lamp" else one for one in GRAPH["nodes"]]
+    graph = GRAPH | {"graph": {"storeys_m": [0.0, 3.0]}, "nodes": nodes}
+    tree = Tree(server)
+    tree.show(*graph_objects(graph))
+    assert tree.names == {
+        "storey 1, room 1 (1)": ["table 5"],
+        "storey 1, no room (1)": ["chair 7"],
+        "storey 2, room 2 (1)": ["lamp 3"],
+    }
 
 
 def test_a_damaged_graph_is_one_error(tmp_path):

@@ -303,7 +303,7 @@ def test_the_tree_of_objects_marks_the_chosen_one(browser, tmp_path):
 def test_the_tree_of_objects_begins_with_storeys_if_there_are_several(browser, tmp_path):
     corners = np.zeros((8, 3))
     objects = tuple(
-        ShownObject(f"table {number}", room, corners, storey=storey)
+        ShownObject(number, f"table {number}", room, corners, storey=storey)
         for number, (storey, room) in enumerate(
             [("storey 1", "room 1"), ("storey 1", "room 3"), ("storey 2", "room 2")]
         )

@@ -24,6 +24,8 @@ from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.embedding_fusion import view_weights
 
+Array = NDArray[np.float64]
+
 # Number of the submap of loaded objects, which belong to all submaps of their map.
 SAVED = -1
 # Area of loaded objects: they keep their numbers and classes if they are joined with others.
@@ -244,6 +246,28 @@ class InstanceTracker:
         while number in self.merged:
             number = self.merged[number]
         return number
+
+    def of_points(
+        self, submap: int, points_m: Array, T_world_submap: Array
+    ) -> NDArray[np.int32] | None:
+        """The objects [N] of points of a submap so far, 0 for none; None if it has no masks.
+
+        Args:
+            submap: its number.
+            points_m: [N, 3] in the frame of the submap.
+            T_world_submap: [4, 4]; the world of a loaded map is that of its objects.
+        """
+        votes = self._votes.get(submap)
+        if votes is not None:
+            return votes.owner_at(points_m)
+        if self.saved is None or not (self.saved.submap == submap).any():
+            return None
+        return self.table()[self.saved.of(submap, points_m, T_world_submap)]
+
+    def embeddings(self, numbers: NDArray[np.integer]) -> dict[int, NDArray[np.float32]]:
+        """The fused embeddings [D] of those objects that have one."""
+        fused = {int(n): self.objects[n].embeddings.fused() for n in numbers.tolist() if n}
+        return {number: one.embedding for number, one in fused.items() if one is not None}
 
     def table(self) -> NDArray[np.int32]:
         """The current object [M + 1] of every object number."""

@@ -1,15 +1,16 @@
 """Constellations of objects: a relative pose of two submaps from the classes and places of objects.
 
-Light, colours and textures do not matter, and objects that have moved are outliers. Pairs of
-objects of one class and similar size are the nodes of a graph, and two pairs are connected if the
-distances between their objects agree in both submaps. The largest clique gives the pose. It is a
-candidate only: identical rooms have identical constellations.
+Light, colours and textures do not matter, and objects that have moved are outliers. Objects are
+connected components of classes, or instances. Pairs of objects of one class and similar size are
+the nodes of a graph, and two pairs are connected if the distances between their objects agree in
+both submaps. The largest clique gives the pose. It is a candidate only: identical rooms have
+identical constellations.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +23,12 @@ from toolkit.loops.pose_graph.clique import largest_clique
 
 Array = NDArray[np.float64]
 
-# Edge of the voxels whose connected components are objects. Neighbours touch at a corner at least.
+# Edge of the voxels of objects. Neighbours in a connected component touch at a corner at least.
 _VOXEL_M = 0.06
 _AROUND = itertools.product((-1, 0, 1), repeat=3)
 _NEIGHBOURS = np.array([step for step in _AROUND if step > (0, 0, 0)])
-# Minimum number of voxels of an object, and maximum number of a class in total: classes with more
-# are parts of the building.
+# Minimum number of voxels of an object, and maximum number of an instance or of a class in total:
+# those with more are parts of the building.
 _MIN_VOXELS, _MAX_VOXELS = 8, 1500
 # Of more points, every n-th is used.
 _MAX_POINTS = 40_000
@@ -49,40 +50,94 @@ class Constellation:
     """The objects of a submap.
 
     Attributes:
-        class_ids: [K] class of each object.
+        class_ids: [K] class of each object, 0 for an object that only its embedding describes.
         centres_m: [K, 3] centre in the frame of the submap, metres.
         sizes_m: [K] diagonal of a box of the same spread, metres.
+        embeddings: [K, D] of unit length, 0 where unknown; D is 0 without embeddings.
     """
 
     class_ids: NDArray[np.int64]
     centres_m: Array
     sizes_m: Array
+    embeddings: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.class_ids)
 
     @classmethod
-    def of(cls, points_m: Array, class_ids: NDArray[np.integer]) -> Constellation:
-        """Build the constellation of points: the connected components of each class.
+    def of(
+        cls,
+        points_m: Array,
+        class_ids: NDArray[np.integer],
+        instance_ids: NDArray[np.integer] | None = None,
+        embeddings: Mapping[int, NDArray[np.floating]] | None = None,
+    ) -> Constellation:
+        """Build the constellation of points.
+
+        Every instance is an object. Of classes of which most points have no instance, the connected
+        components of these points are objects as well.
 
         Args:
             points_m: [N, 3] points on surfaces, metres.
             class_ids: [N] class of each, 0 void.
+            instance_ids: [N] instance of each, 0 for none; None if all have none.
+            embeddings: [D] of unit length, by instance.
         """
         step = max(1, len(points_m) // _MAX_POINTS)
-        points_m, class_ids = points_m[::step], class_ids[::step]
-        grid = _ClassVoxels.of(points_m[class_ids > 0], class_ids[class_ids > 0])
-        numbers = grid.components()
+        points_m, labels = points_m[::step], np.asarray(class_ids[::step], np.int64)
+        owners, classes = labels, int(labels.max(initial=0)) + 1
+        if instance_ids is not None:
+            owners = _with_instances(labels, instance_ids[::step].astype(np.int64), classes)
+        voxels = _OwnedVoxels.of(points_m[owners > 0], owners[owners > 0])
+        is_instance = voxels.owners > classes
+        numbers = np.where(is_instance, -voxels.owners, voxels.components())
+        _, places, numbers = np.unique(numbers, return_index=True, return_inverse=True)
+        owner_of = voxels.owners[places]
         sizes = np.bincount(numbers)
-        sums_m = [np.bincount(numbers, axis) for axis in grid.centres_m.T]
+        sums_m = [np.bincount(numbers, axis) for axis in voxels.centres_m.T]
         means_m: Array = np.stack(sums_m, axis=1) / np.maximum(sizes, 1)[:, None]
-        squares = ((grid.centres_m - means_m[numbers]) ** 2).sum(axis=1)
+        squares = ((voxels.centres_m - means_m[numbers]) ** 2).sum(axis=1)
         # Equals the diagonal of a solid box; bounding boxes depend on the frame of the submap.
         sizes_m = np.sqrt(12.0 * np.bincount(numbers, squares) / np.maximum(sizes, 1))
-        class_of = np.zeros(len(sizes), np.int64)
-        class_of[numbers] = grid.class_ids
+        class_of = _most_frequent(owners, labels, owner_of)
+        vectors = _rows_of(embeddings or {}, owner_of - classes)
         kept = (sizes >= _MIN_VOXELS) & (sizes_m <= _MAX_SIZE_M)
-        return cls(class_of[kept], means_m[kept], sizes_m[kept])
+        kept &= (class_of > 0) | vectors.any(axis=1)
+        return cls(class_of[kept], means_m[kept], sizes_m[kept], vectors[kept])
+
+
+def _with_instances(
+    class_ids: NDArray[np.int64], instance_ids: NDArray[np.int64], classes: int
+) -> NDArray[np.int64]:
+    """Owners [N] of points: the instance plus the number of classes, or the class, or 0 for none.
+
+    What masks leave out of objects at their borders is none.
+    """
+    owned = instance_ids > 0
+    points, inside = (np.bincount(ids, minlength=classes) for ids in (class_ids, class_ids[owned]))
+    rest = np.where((2 * inside < points)[class_ids], class_ids, 0)
+    return np.where(owned, instance_ids + classes, rest)
+
+
+def _most_frequent(
+    owners: NDArray[np.int64], class_ids: NDArray[np.int64], chosen: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """The class [K] of most labelled points of each of the chosen owners, 0 without any."""
+    classes = int(class_ids.max(initial=0)) + 1
+    cells, counts = np.unique((owners * classes + class_ids)[class_ids > 0], return_counts=True)
+    owner, class_id = np.divmod(cells[np.argsort(counts, kind="stable")], classes)
+    table = np.zeros(int(owners.max(initial=0)) + 1, np.int64)
+    table[owner] = class_id  # of several values, the last one remains
+    return table[chosen]
+
+
+def _rows_of(
+    embeddings: Mapping[int, NDArray[np.floating]], instances: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """The embeddings [K, D] of instances, 0 where unknown."""
+    length = max((len(vector) for vector in embeddings.values()), default=0)
+    rows = [embeddings.get(int(number), np.zeros(length)) for number in instances]
+    return np.array(rows, np.float32).reshape(len(instances), length)
 
 
 @dataclass(frozen=True)
@@ -141,14 +196,37 @@ def _fitted(
 
 
 def _assignments(first: Constellation, second: Constellation) -> NDArray[np.int64]:
-    """The pairs [L, 2] of objects that may be the same, those of rare classes first."""
+    """The pairs [L, 2] of objects that may be the same, the most distinctive ones first.
+
+    Objects of one class may be the same, and those with embeddings if a class is unknown. A pair is
+    distinctive if few other objects are as similar to either of its two.
+    """
+    similarities, known = _similarities(first.embeddings, second.embeddings)
     same = first.class_ids[:, None] == second.class_ids[None]
+    same = np.where(np.minimum.outer(first.class_ids, second.class_ids) > 0, same, known)
     ratio = np.abs(np.log(first.sizes_m[:, None] / second.sizes_m[None]))
     i, j = np.nonzero(same & (ratio < _MAX_LOG_SIZE))
-    equal = np.maximum(same.sum(axis=1)[i], same.sum(axis=0)[j])
-    i, j, equal = (values[equal <= _MAX_EQUAL] for values in (i, j, equal))
-    order = np.lexsort((j, i, ratio[i, j].round(6), equal))[:_MAX_ASSIGNMENTS]
+    own = similarities[i, j]
+    beside = (same[i] & (similarities[i] >= own[:, None])).sum(axis=1)
+    others = (same[:, j] & (similarities[:, j] >= own)).sum(axis=0)
+    equal = np.maximum(beside, others)
+    i, j, own, equal = (values[equal <= _MAX_EQUAL] for values in (i, j, own, equal))
+    order = np.lexsort((j, i, ratio[i, j].round(6), -own.round(6), equal))[:_MAX_ASSIGNMENTS]
     return np.stack([i[order], j[order]], axis=1)
+
+
+def _similarities(
+    first: NDArray[np.float32], second: NDArray[np.float32]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Cosines [K, L] of embeddings minus their mean, 0 where one is unknown; where both are known.
+
+    Encoders differ in the similarity of unrelated images, which the mean removes.
+    """
+    known = np.logical_and.outer(first.any(axis=1), second.any(axis=1))
+    if not known.any():  # also where only one of both has embeddings
+        return np.zeros(known.shape), np.zeros_like(known)
+    cosines = (first @ second.T).astype(np.float64)
+    return np.where(known, cosines - cosines[known].mean(), 0.0), known
 
 
 def _sigma_m(first: Constellation, second: Constellation, pairs: NDArray[np.int64]) -> Array:
@@ -169,31 +247,31 @@ def _weighted_fit(a: Array, b: Array, weights: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _ClassVoxels:
-    """Occupied voxels of the classes that are objects and not parts of the building.
+class _OwnedVoxels:
+    """Occupied voxels of owners (classes or instances) that are not parts of the building.
 
     Attributes:
-        keys: [V] ascending; neighbours differ by a constant for each direction.
+        keys: [V] ascending; neighbours of one owner differ by a constant for each direction.
         steps: [13] these constants.
         centres_m: [V, 3].
-        class_ids: [V].
+        owners: [V].
     """
 
     keys: NDArray[np.int64]
     steps: NDArray[np.int64]
     centres_m: Array
-    class_ids: NDArray[np.int64]
+    owners: NDArray[np.int64]
 
     @classmethod
-    def of(cls, points_m: Array, class_ids: NDArray[np.integer]) -> _ClassVoxels:
-        """Find the voxels of points [N, 3] of classes [N]."""
+    def of(cls, points_m: Array, owners: NDArray[np.integer]) -> _OwnedVoxels:
+        """Find the voxels of points [N, 3] of owners [N]."""
         voxels = np.floor(points_m / _VOXEL_M).astype(np.int64)
         low = voxels.min(axis=0, initial=0)
         # One empty layer on each side, so that the neighbours of the last row are not in the next.
         shape = voxels.max(axis=0, initial=0) - low + 3
         strides = np.array([shape[1] * shape[2], shape[2], 1])
         volume = int(shape.prod())
-        keys = np.unique(class_ids.astype(np.int64) * volume + (voxels - low + 1) @ strides)
+        keys = np.unique(owners.astype(np.int64) * volume + (voxels - low + 1) @ strides)
         kept = np.bincount(keys // volume)[keys // volume] <= _MAX_VOXELS
         keys = keys[kept]
         places = np.stack(np.unravel_index(keys % volume, shape), axis=1) + low - 1

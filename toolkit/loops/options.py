@@ -66,8 +66,9 @@ class LandmarkOptions:
 
 @dataclass(frozen=True)
 class ObjectOptions:
-    """Loop candidates from constellations of objects, whatever their appearance. They need labels
-    of object classes."""
+    """Loop candidates from constellations of objects, whatever their appearance: of the connected
+    parts of each class, and of the instances of --instances if they are on. They need labels of
+    object classes."""
 
     use: bool = False
     """Register two submaps from the places of their objects if their images do not match."""

@@ -61,12 +61,17 @@ def build_slam(
     taxonomy = labeller.taxonomy if labeller else None
     code = build_code(settings.semantics.code, taxonomy) if taxonomy else None
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
+    names = None if taxonomy is None else dict(enumerate(taxonomy.classes, start=1))
+    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
+    continues = settings.map is not None
+    ignored = _ignored_texts(settings, labeller, unmatched)
+    instances = build_instances(settings.instances, names, stems, continues, ignored)
     front_end = mode_of(settings).front_end(
         FrontEndParts(
             settings,
             dataset,
             recorder,
-            ClosingContext(settings.seed, settings.backend, semantics, taxonomy),
+            ClosingContext(settings.seed, settings.backend, semantics, taxonomy, instances),
             code,
             folder,
             # The unit may follow from the first frame, long before the first record.
@@ -86,11 +91,6 @@ def build_slam(
     )
     submaps = folder.submaps if folder else None
     atlas = build_atlas(settings.submaps, mapper.first_submap(), labeller, submaps)
-    names = None if taxonomy is None else dict(enumerate(taxonomy.classes, start=1))
-    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
-    continues = settings.map is not None
-    ignored = _ignored_texts(settings, labeller, unmatched)
-    instances = build_instances(settings.instances, names, stems, continues, ignored)
     sources = _frame_sources(settings, labeller, instances)
     slam = Slam(front_end, mapper, atlas, sources, recorder, instances)
     if settings.scene.graph:

@@ -88,7 +88,7 @@ def add_storeys(content: dict[str, Any], storeys: Storeys) -> None:
         return
     nodes, edges = content["nodes"], content["edges"]
     rooms = [node for node in nodes if node["kind"] == "room"]
-    first, count = len(nodes), len(storeys)
+    first, count = 1 + max(node["id"] for node in nodes), len(storeys)
     for node in list(nodes):
         if node["kind"] != "room" and node["rooms"]:
             continue
@@ -97,7 +97,7 @@ def add_storeys(content: dict[str, Any], storeys: Storeys) -> None:
     for number, height_m in enumerate(storeys.heights_m, 1):
         own = [room for room in rooms if room["storey"] == number]
         described = {
-            "id": len(nodes),
+            "id": first + number - 1,
             "kind": "storey",
             "name": f"storey {number}",
             "number": number,

@@ -11,6 +11,9 @@ from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.loops.options import ObjectOptions
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.options import validated
+from toolkit.runs.building import build_slam
+from toolkit.runs.settings import RunSettings
 
 
 def test_the_feature_term_of_registration_has_the_encoder_of_the_settings():
@@ -21,6 +24,20 @@ def test_the_feature_term_of_registration_has_the_encoder_of_the_settings():
     parts = build_loop_closer(settings, context, registration=registration)._parts
     for stage in (parts.registrar.refiner, parts.nearby):
         assert stage.view_features.describer.name == "colour-histogram/rgb"
+
+
+def test_objects_are_the_instances_of_the_run():
+    settings = validated(
+        RunSettings,
+        {
+            "loops": {"features": {"kind": "colour-histogram"}, "objects": {"use": True}},
+            "instances": {"kind": "geometric"},
+            "segmenter": {"kind": "geometric"},
+        },
+    )
+    slam = build_slam(settings=settings)
+    assert slam._instances is not None
+    assert slam._closer._parts.objects._instances is slam._instances
 
 
 @pytest.mark.parametrize(("verify", "said"), [(True, "needs classes"), (False, "no-verify")])

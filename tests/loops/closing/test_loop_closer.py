@@ -294,24 +294,27 @@ def measured(monkeypatch, offset):
 
 @dataclass
 class KnownObjects:
-    """Objects that determine the true relative pose of two submaps, or a wrong one."""
+    """Objects that determine the true relative pose of two submaps, or wrong ones."""
 
     truth: dict
-    error: np.ndarray
+    errors: list
 
     def of(self, atlas, first, second, queries):
-        T = se3.inverse(self.truth[first]) @ self.truth[second] @ self.error
-        edge = PoseEdge.loop(first, second, T, np.eye(6) * 100.0)
-        match = ConstellationMatch(T, np.zeros((6, 2), int), 0.05)
         pairs = [(q, m) for q in queries for m in list(atlas.keyframe_poses(first))[:1] if m < q]
-        return ObjectHypothesis(edge, match, pairs) if pairs else None
+        found = []
+        for error in self.errors if pairs else ():
+            T = se3.inverse(self.truth[first]) @ self.truth[second] @ error
+            edge = PoseEdge.loop(first, second, T, np.eye(6) * 100.0)
+            match = ConstellationMatch(T, np.zeros((6, 2), int), 0.05)
+            found.append(ObjectHypothesis(edge, match, pairs))
+        return found
 
 
-def closed_by_objects(frames, monkeypatch, error, log=None, **changes):
-    """As `closed`, with images that do not match, and objects with an error [6]."""
+def closed_by_objects(frames, monkeypatch, errors, log=None, **changes):
+    """As `closed`, with images that do not match, and poses from objects with errors [K, 6]."""
     monkeypatch.setattr(PairMatcher, "most_matches", lambda *_: [])
     atlas, closer, registrar = closed(frames, changes, log, ClosingOptions(min_shared=0.0))
-    objects = KnownObjects(registrar.truth, se3.exp(np.array(error)))
+    objects = KnownObjects(registrar.truth, [se3.exp(np.array(error)) for error in errors])
     closer._between = SubmapLoops(
         replace(closer._parts, objects=objects), closer.options, closer._record
     )
@@ -324,11 +327,17 @@ class TestObjects:
     def test_they_close_a_loop_in_other_light(self, frames, tmp_path, monkeypatch):
         log = LoopLog(tmp_path / "loops.jsonl")
         near = [0.02, 0.0, 0.01, 0.0, 0.01, 0.0]
-        atlas, closer = closed_by_objects(frames, monkeypatch, near, log, residual=self.DARK)
+        atlas, closer = closed_by_objects(frames, monkeypatch, [near], log, residual=self.DARK)
         assert closer.close_between(atlas, atlas.active) and closer.loops
         records = read_loop_log(tmp_path / "loops.jsonl")
         assert [r["objects"] for r in records if r["kind"] == "objects"] == [6] * len(closer.loops)
         assert any(r["kind"] == "verified" and r["accepted"] for r in records)
+
+    def test_the_next_pose_is_tried_if_the_first_one_fails(self, frames, monkeypatch):
+        """The odometry rules the first one out; the registration ends far from the second one."""
+        errors = [[9.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.3, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0] * 6]
+        atlas, closer = closed_by_objects(frames, monkeypatch, errors, residual=self.DARK)
+        assert closer.close_between(atlas, atlas.active) and closer.loops
 
     @pytest.mark.parametrize(
         ("error", "changes"),
@@ -340,7 +349,7 @@ class TestObjects:
         ],
     )
     def test_the_registration_must_agree(self, frames, monkeypatch, error, changes):
-        atlas, closer = closed_by_objects(frames, monkeypatch, error, None, **changes)
+        atlas, closer = closed_by_objects(frames, monkeypatch, [error], None, **changes)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
         assert bits(atlas) == before and not closer.loops
@@ -348,7 +357,7 @@ class TestObjects:
     def test_the_odometry_refuses_them_before_a_registration(self, frames, tmp_path, monkeypatch):
         log = LoopLog(tmp_path / "loops.jsonl")
         away = [3.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        atlas, closer = closed_by_objects(frames, monkeypatch, away, log)
+        atlas, closer = closed_by_objects(frames, monkeypatch, [away], log)
         assert not closer.close_between(atlas, atlas.active)
         records = read_loop_log(tmp_path / "loops.jsonl")
         refused = [r for r in records if r["kind"] == "objects"]
@@ -524,13 +533,16 @@ class TestState:
         _, closer, _ = closed(frames)
         objects = ObjectHypotheses(SimpleNamespace(), 30)
         closer._parts = replace(closer._parts, objects=objects)
-        one = Constellation(np.array([3]), np.ones((1, 3)), np.array([0.5]))
-        objects._known = {2: (7, one)}
+        one = Constellation(np.array([3]), np.ones((1, 3)), np.array([0.5]), np.eye(1))
+        other = replace(one, class_ids=np.array([5]))
+        objects._known = {2: (7, [one, other])}
         state = closer.state()
         objects._known = {}
         closer.restore(*state)
         size, found = objects._known[2]
-        assert size == 7 and all(np.array_equal(vars(one)[k], vars(found)[k]) for k in vars(one))
+        assert size == 7
+        for before, after in zip((one, other), found, strict=True):
+            assert all(np.array_equal(vars(before)[k], vars(after)[k]) for k in vars(one))
 
     def test_the_log_is_cut_back(self, frames, tmp_path):
         log = LoopLog(tmp_path / "loops.jsonl")

@@ -46,7 +46,9 @@ class Submaps:
 
     def submap(self, number):
         self.read += 1
-        return SimpleNamespace(gaussians=self.clouds[number])
+        return SimpleNamespace(
+            gaussians=self.clouds[number], number=number, T_world_submap=np.eye(4)
+        )
 
 
 class Semantics:
@@ -67,12 +69,25 @@ def submaps():
     )
 
 
-def hypotheses(gap=30):
-    return ObjectHypotheses(Semantics(), gap)
+class Blocks:
+    """Every block of Gaussians is an instance, of the submaps that have masks."""
+
+    def __init__(self, *masked):
+        self.masked = masked
+
+    def of_points(self, submap, points_m, T_world_submap):
+        return np.repeat(np.arange(7) + 5, 300) if submap in self.masked else None
+
+    def embeddings(self, numbers):
+        return {int(n): np.eye(8, dtype=np.float32)[n - 5] for n in numbers if n != 6}
+
+
+def hypotheses(gap=30, instances=None):
+    return ObjectHypotheses(Semantics(), gap, instances)
 
 
 def test_objects_give_the_pose_and_the_views_of_one_place(submaps):
-    found = hypotheses().of(submaps, 0, 1, [100, 110])
+    (found,) = hypotheses().of(submaps, 0, 1, [100, 110])
     difference = se3.log(se3.inverse(T) @ found.edge.T_first_second)
     assert np.linalg.norm(difference) < 0.05
     assert len(found.match.pairs) == len(CENTRES_M)
@@ -80,11 +95,34 @@ def test_objects_give_the_pose_and_the_views_of_one_place(submaps):
     assert found.pairs == [(100, 10)]
 
 
+@pytest.mark.parametrize("masked", [(0, 1), (1,)])
+def test_instances_are_objects_where_a_submap_has_masks(submaps, masked):
+    """Only their embeddings tell seven objects of one class apart."""
+    for cloud in submaps.clouds:
+        cloud.features.fill_(3.0)
+    found = hypotheses(instances=Blocks(*masked)).of(submaps, 0, 1, [100])
+    assert [one.pairs for one in found] == [[(100, 10)]] * (masked == (0, 1))
+    for one in found:
+        difference = se3.log(se3.inverse(T) @ one.edge.T_first_second)
+        assert np.linalg.norm(difference) < 0.05
+
+
+def test_components_are_compared_as_well_and_come_second_if_fewer_agree(submaps):
+    """Two blocks of the first submap have no class, and one of these has an embedding."""
+    submaps.clouds[0].features[:600] = 0.0
+    found = hypotheses(instances=Blocks(0, 1)).of(submaps, 0, 1, [100])
+    assert [len(one.match.pairs) for one in found] == [6, 5]
+
+
+def test_without_masks_the_same_objects_are_not_compared_twice(submaps):
+    assert len(hypotheses(instances=Blocks()).of(submaps, 0, 1, [100])) == 1
+
+
 def test_too_few_objects_and_frames_in_succession_are_no_hypothesis(submaps):
-    assert hypotheses(gap=91).of(submaps, 0, 1, [100]) is None
-    assert hypotheses().of(submaps, 0, 1, [110]) is None
+    assert hypotheses(gap=91).of(submaps, 0, 1, [100]) == []
+    assert hypotheses().of(submaps, 0, 1, [110]) == []
     submaps.clouds[1] = gaussians(CENTRES_M[:4].astype(float), np.random.default_rng(1))
-    assert hypotheses().of(submaps, 0, 1, [100]) is None
+    assert hypotheses().of(submaps, 0, 1, [100]) == []
 
 
 def test_a_submap_is_read_again_only_if_it_has_grown(submaps):
@@ -98,12 +136,12 @@ def test_a_submap_is_read_again_only_if_it_has_grown(submaps):
 
 
 def test_a_resumed_run_compares_the_objects_that_an_uninterrupted_one_remembers(submaps):
-    known, resumed = hypotheses(), hypotheses()
-    expected = known.of(submaps, 0, 1, [100])
+    known, resumed = (hypotheses(instances=Blocks(0, 1)) for _ in range(2))
+    expected = known.of(submaps, 0, 1, [100])[0]
     resumed.restore(known.state())
     # Optimisation moves the Gaussians of a submap that gets no further keyframes.
     submaps.clouds[0].means.add_(0.02 * torch.randn(submaps.clouds[0].means.shape))
-    found = resumed.of(submaps, 0, 1, [100])
+    found = resumed.of(submaps, 0, 1, [100])[0]
     assert submaps.read == 2
     assert np.array_equal(found.edge.T_first_second, expected.edge.T_first_second)
     assert found.match.error_m == expected.match.error_m

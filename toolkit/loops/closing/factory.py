@@ -15,7 +15,7 @@ from toolkit.frame import Recorder
 from toolkit.loops.candidates import CandidateFinder
 from toolkit.loops.class_counts import ClassCounter, GaussianClassCounter, PixelClassCounter
 from toolkit.loops.closing.closer import LoopCloser
-from toolkit.loops.closing.object_loops import ObjectHypotheses
+from toolkit.loops.closing.object_loops import ObjectHypotheses, SubmapInstances
 from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.loops.closing.pair_matching import PairMatcher
 from toolkit.loops.closing.parts import ClosingParts
@@ -44,12 +44,14 @@ class ClosingContext:
         backend_name: rendering backend.
         semantics: decodes the features of submaps.
         taxonomy: classes of the labels; None without semantics.
+        instances: tracks objects; None without instances.
     """
 
     seed: int
     backend_name: str
     semantics: SemanticMapping
     taxonomy: Taxonomy | None
+    instances: SubmapInstances | None = None
 
 
 def build_loop_closer(
@@ -99,12 +101,12 @@ def build_loop_closer(
         noise=OdometryNoise(),
         loop_noise=LoopNoise(),
         optimiser=PoseGraphOptimiser(options.pose_graph),
-        objects=_objects(options, context.semantics),
+        objects=_objects(options, context),
     )
     return LoopCloser(detector, parts, options.closing, log, recorder)
 
 
-def _objects(options: LoopClosureOptions, semantics: SemanticMapping) -> ObjectHypotheses | None:
+def _objects(options: LoopClosureOptions, context: ClosingContext) -> ObjectHypotheses | None:
     """Build the comparison of objects; None if it is off.
 
     Raises:
@@ -114,12 +116,13 @@ def _objects(options: LoopClosureOptions, semantics: SemanticMapping) -> ObjectH
         return None
     if not options.verify:
         raise SettingsError("--loops.objects.use has no effect with --loops.no-verify; omit one")
-    if not semantics.channels:
+    if not context.semantics.channels:
         raise SettingsError(
             "--loops.objects.use needs classes; omit it, or use another --semantics.code.kind than "
             "none and another --segmenter.kind than none"
         )
-    return ObjectHypotheses(semantics, options.candidates.min_gap_frames)
+    gap = options.candidates.min_gap_frames
+    return ObjectHypotheses(context.semantics, gap, context.instances)
 
 
 def _check_landmarks(options: LoopClosureOptions) -> None:

@@ -176,29 +176,30 @@ class SubmapLoops:
         known = {candidate.match_submap for candidate in candidates}
         others = [n for n in atlas.readable() if n < number and n not in known]
         queries = list(dict.fromkeys(candidate.query for candidate in candidates))
-        return {n for n in others if self._hypothesis(atlas, (n, number), queries, odometry)}
+        return {n for n in others if self._hypotheses(atlas, (n, number), queries, odometry)}
 
-    def _hypothesis(
+    def _hypotheses(
         self,
         atlas: Atlas,
         submaps: tuple[int, int],
         queries: Sequence[int],
         odometry: Sequence[PoseEdge],
-    ) -> ObjectHypothesis | None:
-        """The relative pose of two submaps from their objects, if the odometry permits it."""
+    ) -> list[ObjectHypothesis]:
+        """The relative poses of two submaps from their objects that the odometry permits."""
         assert self._parts.objects is not None
+        values = {"first": submaps[0], "second": submaps[1]}
         try:
-            found = self._parts.objects.of(atlas, *submaps, queries)
+            hypotheses = self._parts.objects.of(atlas, *submaps, queries)
         except ToolkitError as error:
-            values = {"first": submaps[0], "second": submaps[1]}
             self._record("objects", values | verdict(str(error)))
-            return None
-        if found is None:
-            return None
-        reason = self._contradiction(odometry, found.edge)
-        values = {"first": submaps[0], "second": submaps[1], "objects": len(found.match.pairs)}
-        self._record("objects", values | {"error_m": found.match.error_m} | verdict(reason))
-        return None if reason else found
+            return []
+        permitted = []
+        for one in hypotheses:
+            reason = self._contradiction(odometry, one.edge)
+            agreeing = {"objects": len(one.match.pairs), "error_m": one.match.error_m}
+            self._record("objects", values | agreeing | verdict(reason))
+            permitted += [] if reason else [one]
+        return permitted
 
     def _close_by_objects(
         self,
@@ -207,17 +208,28 @@ class SubmapLoops:
         candidates: Sequence[LoopCandidate],
         odometry: Sequence[PoseEdge],
     ) -> PoseEdge | None:
-        """The loop edge of two submaps whose images do not match, registered from their objects.
+        """The loop edge of two submaps whose images do not match, registered from their objects."""
+        if self._parts.objects is None:
+            return None
+        queries = list(dict.fromkeys(candidate.query for candidate in candidates))
+        for found in self._hypotheses(atlas, submaps, queries, odometry):
+            edge = self._register_objects(atlas, submaps, found, odometry)
+            if edge is not None:
+                return edge
+        return None
+
+    def _register_objects(
+        self,
+        atlas: Atlas,
+        submaps: tuple[int, int],
+        found: ObjectHypothesis,
+        odometry: Sequence[PoseEdge],
+    ) -> PoseEdge | None:
+        """The loop edge of two submaps that are registered from the pose of their objects.
 
         Instead of the images, the objects confirm it: the result must stay near the pose that they
         determine, besides passing the tests of a registration.
         """
-        if self._parts.objects is None:
-            return None
-        queries = list(dict.fromkeys(candidate.query for candidate in candidates))
-        found = self._hypothesis(atlas, submaps, queries, odometry)
-        if found is None:
-            return None
         T = found.edge.T_first_second
         registration = self._registered(self._parts.nearby, atlas, *submaps, T)
         if registration is None:
