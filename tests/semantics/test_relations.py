@@ -124,6 +124,16 @@ def test_screens_face_the_side_from_which_they_are_seen(camera_y, faces):
     assert any(r.kind == "facing" and (r.source, r.target) == (2, 1) for r in related) == faces
 
 
+def test_pictures_face_away_from_their_wall_wherever_it_is_seen_from():
+    wall = np.concatenate([sheet((0, y, 0), (4, 0, 0), (0, 0, 2.5)) for y in (-0.1, 0.0)])
+    picture = sheet((1.6, 0.02, 1.2), (1.0, 0, 0), (0, 0, 0.6), 0.02)
+    before, behind = table(1.5, 1.0), table(1.5, -2.0)
+    points = [se3.transform_points(T_MAP_ROOM, b) for b in (FLOOR, wall, picture, before, behind)]
+    camera = se3.transform_points(T_MAP_ROOM, np.array([[2.0, -2.5, 1.5]]))
+    related = relations(points, GROUND, ["floor", "wall", *["object"] * 3], None, camera)
+    assert {r.target for r in related if r.source == 2 and r.kind == "facing"} == {3}
+
+
 def shelf(z: float = 0.0) -> np.ndarray:
     """The front edges of a shelf with boards 0.4 m apart: what a camera sees of a full one."""
     boards = [sheet((1.0, 0.25, z + 0.4 * k), (1.0, 0, 0), (0, 0.05, 0), 0.02) for k in range(3)]

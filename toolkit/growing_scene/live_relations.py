@@ -21,6 +21,7 @@ from toolkit.semantics.relations import (
     may_be_near,
     nearest_ahead,
     support,
+    wall_behind,
 )
 from toolkit.semantics.storeys import Floors, Storeys
 
@@ -186,7 +187,9 @@ class LiveRelations:
             return
         floor = np.array([0.0, 0.0, ground.height_m])
         body = self._bodies[number]
-        front = front_of(body.points - floor, cameras_m @ ground.axes - floor)
+        hanging = self._vertical.get(number, ())
+        wall = wall_behind(number, hanging, self._bodies, self._roles) - floor
+        front = front_of(body.points - floor, cameras_m @ ground.axes - floor, wall)
         if front is None:
             return
         vertical = [r for found in self._vertical.values() for r in found]

@@ -83,6 +83,11 @@ class Body:
         around = _grown(self.cells, _HIDDEN_CELLS)
         return bool(_contained(self._support(floor, contact_m), around).any())
 
+    def points_beside(self, other: Body, margin_m: float) -> Array:
+        """Return the points [n, 3] in the box of another body, enlarged by a margin."""
+        low, high = other.low - margin_m, other.high + margin_m
+        return self.points[((self.points >= low) & (self.points <= high)).all(axis=1)]
+
     def hangs_at(self, wall: Body) -> bool:
         """Return whether most points are close to a wall: a picture, but not a cupboard."""
         if self.far(wall, _HANGING_M):

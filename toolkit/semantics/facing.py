@@ -1,4 +1,4 @@
-"""The side that objects face: away from the back of a seat, or the seen side of a panel."""
+"""The side that objects face: away from the back of a seat, or from the wall behind a panel."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ _MIN_OFFSET = 0.15
 # lowest part can be a foot, which is not thin.
 _PANEL_RATIO, _MAX_PANEL_M, _FOOT_SHARE = 0.3, 0.15, 0.4
 _MIN_PANEL_M, _MIN_PANEL_HEIGHT_M = 0.2, 0.3
-# Minimum number of points of a back.
-_MIN_POINTS = 8
+# Minimum number of points of a back, or of the wall behind a panel, and of their distance.
+_MIN_POINTS, _MIN_BEHIND_M = 8, 0.005
 
 
-def front_of(points: Array, cameras: Array) -> Array | None:
+def front_of(points: Array, cameras: Array, wall: Array) -> Array | None:
     """Return the horizontal direction [2] that an object faces, None if it has no front.
 
     Args:
         points: [N, 3] points of the object; the third axis is up, and the floor is at z = 0.
-        cameras: [P, 3] positions of the camera in the same axes: panels face them.
+        cameras: [P, 3] positions of the camera in the same axes: panels that hang at no wall face
+            them.
+        wall: [M, 3] points around the object of the wall that it hangs at; M may be 0.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     size = high - low
@@ -36,7 +38,13 @@ def front_of(points: Array, cameras: Array) -> Array | None:
     if thin <= min(_MAX_PANEL_M, _PANEL_RATIO * wide) and low[2] >= _MIN_PANEL_HEIGHT_M:
         if min(wide, size[2]) < _MIN_PANEL_M:
             return None
-        return _seen_side(axes[:, 0], upper[:, :2].mean(axis=0), cameras)
+        normal, centre = axes[:, 0], upper[:, :2].mean(axis=0)
+        if len(wall) >= _MIN_POINTS:
+            # A camera may have seen more of the other side of the wall.
+            side = float(np.median((wall[:, :2] - centre) @ normal))
+            if abs(side) >= _MIN_BEHIND_M:
+                return np.asarray(-np.sign(side) * normal)
+        return _seen_side(normal, centre, cameras)
     return _front_of_seat(points, float(high[2]))
 
 

@@ -27,6 +27,8 @@ Role = Literal["object", "opening", "wall", "floor"]
 _MIN_FACING = np.cos(np.radians(30.0))
 # Objects whose lowest part is higher above the floor hang at a wall and are not faced.
 MAX_FACED_M = 0.9
+# The wall around a panel within this distance is behind it.
+_BEHIND_M = 0.25
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,8 @@ def relations(
         ground: plane of the floor.
         roles: role of each object; ceilings count as floors.
         options: options of the relations.
-        cameras_m: [P, 3] positions of the camera, which panels face; without them, panels have no
-            front.
+        cameras_m: [P, 3] positions of the camera, which panels face that hang at no wall; without
+            them, these have no front.
     """
     options = options or RelationOptions()
     bodies = [Body(points_m @ ground.axes) for points_m in objects]
@@ -109,7 +111,10 @@ def relations(
     # What is in a shelf neither faces anything nor is faced: the shelf is.
     contained = {r.source for r in vertical if r.kind == "in"}
     free = [k for k in things if k not in contained]
-    fronts = {k: front_of(bodies[k].points - floor, cameras - floor) for k in free}
+    walls = {k: wall_behind(k, vertical, bodies, roles) for k in free}
+    fronts = {
+        k: front_of(bodies[k].points - floor, cameras - floor, walls[k] - floor) for k in free
+    }
     facing = []
     for source, front in fronts.items():
         if front is None:
@@ -179,6 +184,18 @@ def highest_below(
     """Return what an object that stands on nothing is above."""
     below = [k for k in things if k != source and bodies[source].above(bodies[k])]
     return max(below, key=lambda k: bodies[k].top, default=None)
+
+
+def wall_behind(
+    source: int,
+    vertical: Iterable[Relation],
+    bodies: Sequence[Body] | Mapping[int, Body],
+    roles: Sequence[Role] | Mapping[int, Role],
+) -> Array:
+    """Return the points [n, 3] around an object of the wall that it hangs at; none without one."""
+    walls = [r.target for r in vertical if r.source == source and roles[r.target] == "wall"]
+    parts = [bodies[wall].points_beside(bodies[source], _BEHIND_M) for wall in walls]
+    return np.concatenate([np.empty((0, 3)), *parts])
 
 
 class Groups:
