@@ -58,6 +58,16 @@ def test_what_counts_as_a_room(boxes, count):
     assert len(find_rooms(canvas(*boxes), CELL_M)) == count
 
 
+def test_floor_that_nobody_saw_does_not_separate_rooms():
+    """Of a room of 4 m x 4 m, the right part of the middle is not seen."""
+    inside = canvas((0, 0, 4, 1.6), (0, 2.4, 4, 4), (0, 1.6, 1.2, 2.4))
+    walls = ~canvas((0, 0, 4, 4))
+    assert len(find_rooms(inside, CELL_M)) == 2
+    assert len(find_rooms(inside, CELL_M, walls=walls)) == 1
+    jamb = walls | canvas((1.2, 1.6, 4, 2.4), (0, 0, 4, 4)) & ~inside
+    assert len(find_rooms(inside, CELL_M, walls=jamb)) == 2
+
+
 def test_the_width_of_doors_is_an_option():
     inside = canvas((0, 0, 4, 4), (4.2, 0, 8, 4), (3.9, 1, 4.3, 2))
     assert len(find_rooms(inside, CELL_M, RoomOptions(max_door_m=0.8))) == 1

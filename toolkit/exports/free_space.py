@@ -93,7 +93,7 @@ def free_space(
     walls = _walls(opaque, heights_m, options.max_height_m) & within
     cells = covering(raw, means_m[walls], radii_m[walls]) >= options.min_gaussians
     inside = _inside(raw, cells, _seen_through(raw, views))
-    return FreeSpace(_without_gaps(raw), find_rooms(inside, raw.cell_m, room_options))
+    return FreeSpace(_without_gaps(raw), find_rooms(inside, raw.cell_m, room_options, cells))
 
 
 def _walls(opaque: SelectedGaussians, heights_m: NDArray[np.float64], max_height_m: float) -> Mask:

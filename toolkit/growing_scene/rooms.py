@@ -99,7 +99,7 @@ class GrowingRooms:
         x, y = self._cells(walls[high]).T
         wall[y, x] = True
         closed = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)
-        rooms = find_rooms(closed & ~wall, _CELL_M)
+        rooms = find_rooms(closed & ~wall, _CELL_M, walls=wall)
         x, y = self._cells(np.array([fan[0, 0] for fan in fans]).reshape(-1, 3)).T
         if fans:
             rooms = rooms.renumbered(rooms.numbers[y, x].astype(np.intp))

@@ -3,7 +3,8 @@
 The floor is flooded from the places farthest from walls. Two basins that meet at a passage become
 two rooms if the passage is as narrow as a door and clearly narrower than both basins, else one
 (a merge tree of the distance transform, as in watershed segmentation with a persistence test).
-Furniture does not separate rooms: only walls count as obstacles.
+Furniture does not separate rooms: only walls count as obstacles. Where the floor ends because no
+view shows more of it, it is not narrow.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ Mask = NDArray[np.bool_]
 _MAX_CELLS = 250_000
 # Minimum area of a room that is wider than its door, in square metres: alcoves have less.
 _MIN_CORE_M2 = 0.4
+# The walls at both sides of a passage are found at most this far beyond the floor between them.
+_JAMB_M = 0.15
 
 
 @dataclass(frozen=True)
@@ -98,13 +101,16 @@ class RoomMap:
         return RoomMap(new[self.numbers], areas_m2, centres, doors)
 
 
-def find_rooms(inside: Mask, cell_m: float, options: RoomOptions | None = None) -> RoomMap:
+def find_rooms(
+    inside: Mask, cell_m: float, options: RoomOptions | None = None, walls: Mask | None = None
+) -> RoomMap:
     """Split the floor between walls into rooms.
 
     Args:
         inside: [H, W] cells of the floor that are not walls.
         cell_m: edge of a cell in metres.
         options: options of the segmentation.
+        walls: [H, W] cells of walls; all cells that are not inside if absent.
 
     Returns:
         The rooms, largest first.
@@ -112,7 +118,12 @@ def find_rooms(inside: Mask, cell_m: float, options: RoomOptions | None = None) 
     options = options or RoomOptions()
     distance_m = _distance_m(inside, cell_m)
     step = max(1, math.ceil(math.sqrt(float(inside.sum()) / _MAX_CELLS)))
-    flood = _Flood(_reduced(distance_m, step), step * cell_m, options)
+    near_walls = None
+    if walls is not None:
+        reach = 2 * math.ceil(_JAMB_M / cell_m) + 1
+        near_walls = cv2.dilate(walls.astype(np.float32), np.ones((reach, reach), np.uint8))
+        near_walls = _reduced(near_walls, step) > 0
+    flood = _Flood(_reduced(distance_m, step), step * cell_m, options, near_walls)
     flood.run()
     coarse = flood.numbers()
     numbers = coarse.repeat(step, axis=0).repeat(step, axis=1)[: inside.shape[0], : inside.shape[1]]
@@ -153,10 +164,15 @@ class _Flood:
         distance_m: [H, W] distance to the nearest wall, 0 outside.
         cell_m: edge of a cell in metres.
         options: what separates basins.
+        near_walls: [H, W] cells at walls; None if everything outside is wall.
     """
 
     def __init__(
-        self, distance_m: NDArray[np.float32], cell_m: float, options: RoomOptions
+        self,
+        distance_m: NDArray[np.float32],
+        cell_m: float,
+        options: RoomOptions,
+        near_walls: Mask | None = None,
     ) -> None:
         self._shape = distance_m.shape
         self._cell_m2 = cell_m**2
@@ -164,6 +180,7 @@ class _Flood:
         padded = np.pad(distance_m, 1)
         self._width = padded.shape[1]
         self._distance = padded.ravel()
+        self._near_walls = None if near_walls is None else np.pad(near_walls, 1).ravel()
         self._basin = np.full(padded.size, -1, np.int64)
         self._parent: list[int] = []
         self._peak: list[float] = []
@@ -194,7 +211,7 @@ class _Flood:
             pair = frozenset((self._root(main), self._root(other)))
             if len(pair) < 2 or pair in self._doors:
                 continue
-            if self._is_door(pair, height):
+            if self._is_door(pair, height) and self._between_walls(cell):
                 self._doors[pair] = (height, cell)
             else:
                 main = self._merge(pair)
@@ -210,6 +227,22 @@ class _Flood:
             and height <= self._options.max_ratio * self._peak[smaller]
             and min(self._cells[k] for k in pair) * self._cell_m2 >= _MIN_CORE_M2
         )
+
+    def _between_walls(self, cell: int) -> bool:
+        """Whether walls bound a passage where it is narrowest."""
+        if self._near_walls is None:
+            return True
+        across = []
+        for step, length in ((1, 1.0), (w := self._width, 1.0), (w + 1, 1.414), (w - 1, 1.414)):
+            ends = [self._end(cell, step), self._end(cell, -step)]
+            across.append((length * abs(ends[0] - ends[1]) / step, ends))
+        return all(bool(self._near_walls[end]) for end in min(across)[1])
+
+    def _end(self, cell: int, step: int) -> int:
+        """The first cell outside in one direction."""
+        while self._distance[cell] > 0:
+            cell += step
+        return cell
 
     def _merge(self, pair: frozenset[int]) -> int:
         """Merge two basins into the one with the higher peak, with its doors."""
