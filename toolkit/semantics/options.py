@@ -143,8 +143,8 @@ class SemanticsOptions:
     """Tree of classes: a YAML file, the name of a bundled tree, or auto to select or build one
     that contains the classes."""
     ignore: tuple[str, ...] = ()
-    """Classes, groups or nouns excluded from tracking and mapping, for instance moving objects;
-    with masks (--instances.kind folder or model), whole masks too."""
+    """Classes, groups, nouns (as whole masks with --instances.kind folder or model) that are not
+    tracked against or mapped, such as people."""
     reader: Literal["path", "network"] = "path"
     """Decoder of the codes: the path through the tree (path) or the trained network (network)."""
     min_confidence: Annotated[float, Range(ge=0.5, lt=1)] = 0.5
