@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-import torch
 from box_room import CEILING, CRATE, CUPBOARD, FLOOR, OBJECT, SURFACE, WALL, walk
+from one_submap import OneSubmap, grown, labelled_keyframe
 
 from toolkit.geometry import se3
 from toolkit.growing_scene.growing import GrowingScene
@@ -20,34 +20,9 @@ CLASSES = tuple(NAMES[k] for k in sorted(NAMES))
 TAXONOMY = Taxonomy({"things": list(CLASSES)}, classes=CLASSES, name="boxes")
 
 
-class OneSubmap:
-    """What the scene reads of an atlas with one submap."""
-
-    def __init__(self) -> None:
-        self.active, self.keyframes, self.pose = 0, [], np.eye(4)
-
-    def __len__(self) -> int:
-        return 1
-
-    def T_world_submap(self, number: int) -> np.ndarray:
-        return self.pose
-
-
 @pytest.fixture(scope="module")
 def keyframes() -> list[Keyframe]:
-    made = []
-    for view in walk(16):
-        keyframe = Keyframe.from_frame(view.frame, view.T_world_camera)
-        keyframe.class_ids = torch.from_numpy(view.classes.astype(np.int16))
-        made.append(keyframe)
-    return made
-
-
-def grown(keyframes: list[Keyframe], scene: GrowingScene, atlas: OneSubmap) -> GrowingScene:
-    for keyframe in keyframes:
-        atlas.keyframes.append(keyframe)
-        scene.update(atlas)
-    return scene
+    return [labelled_keyframe(view, view.frame.index) for view in walk(16)]
 
 
 def new_scene() -> GrowingScene:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from box_room import CEILING, FLOOR, OBJECT, SURFACE, WALL, walk
 from labelled_room import chair, table
+from one_submap import OneSubmap, grown, labelled_keyframe
 from two_storeys import AREAS_M2, STOREY_M, VISITED, points_of
 
 from toolkit.geometry import se3
@@ -31,42 +30,22 @@ T_UPPER = se3.from_rotation_translation(
 )
 
 
-class OneSubmap:
-    """What the scene reads of an atlas with one submap."""
-
-    def __init__(self) -> None:
-        self.active, self.keyframes = 0, []
-
-    def __len__(self) -> int:
-        return 1
-
-    def T_world_submap(self, number: int) -> np.ndarray:
-        return np.eye(4)
-
-
 def keyframes() -> list[Keyframe]:
     """Views of the lower room, then of the upper one."""
-    made = []
-    for T in (np.eye(4), T_UPPER):
-        for view in walk(16):
-            frame = replace(view.frame, index=len(made))
-            keyframe = Keyframe.from_frame(frame, T @ view.T_world_camera)
-            keyframe.class_ids = torch.from_numpy(view.classes.astype(np.int16))
-            made.append(keyframe)
-    return made
+    views = [(T, view) for T in (np.eye(4), T_UPPER) for view in walk(16)]
+    return [labelled_keyframe(view, index, T) for index, (T, view) in enumerate(views)]
 
 
-def grown(views: list[Keyframe], scene: GrowingScene, atlas: OneSubmap) -> dict:
-    for keyframe in views:
-        atlas.keyframes.append(keyframe)
-        scene.update(atlas)
+def finished(views: list[Keyframe], scene: GrowingScene, atlas: OneSubmap) -> dict:
+    """The graph of a scene after these keyframes."""
+    grown(views, scene, atlas)
     scene.finish(atlas)
     return scene.content()
 
 
 @pytest.fixture(scope="module")
 def content() -> dict:
-    return grown(keyframes(), GrowingScene(TAXONOMY), OneSubmap())
+    return finished(keyframes(), GrowingScene(TAXONOMY), OneSubmap())
 
 
 def test_each_storey_has_its_room_and_objects(content):
@@ -77,7 +56,7 @@ def test_each_storey_has_its_room_and_objects(content):
     assert [room["storey"] for room in rooms] == [1, 2]
     # Each is 5 m x 4 m; the lower one has the same area without an upper one.
     assert rooms[0]["area_m2"] == pytest.approx(rooms[1]["area_m2"], rel=0.1)
-    lower = grown(keyframes()[:16], GrowingScene(TAXONOMY), OneSubmap())
+    lower = finished(keyframes()[:16], GrowingScene(TAXONOMY), OneSubmap())
     (alone,) = [node for node in lower["nodes"] if node["kind"] == "room"]
     assert rooms[0]["area_m2"] == pytest.approx(alone["area_m2"], rel=0.05)
     for name in ("floor", "table"):
@@ -121,7 +100,7 @@ def test_a_resumed_scene_has_the_same_storeys(content):
     again = GrowingScene(TAXONOMY)
     again.restore(arrays, json.loads(json.dumps(values)))
     assert again.state()[1] == values and len(values["storeys_m"]) == 2
-    assert grown(views[28:], again, atlas) == content
+    assert finished(views[28:], again, atlas) == content
 
 
 def test_rooms_of_storeys_do_not_mix_and_are_numbered_by_first_visit():

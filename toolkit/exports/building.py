@@ -34,16 +34,10 @@ class Building:
     rooms: StoreyRooms
 
     def rooms_of(self, points_m: Array, storeys: range) -> dict[int, float]:
-        """Return the share of points [N, 3] in each room of some storeys.
-
-        Points count on their own storey if there are several, else all on the only one.
-        """
-        at = self.floors.at(points_m) if len(storeys) > 1 else np.full(len(points_m), storeys[0])
-        return {
-            self.rooms.number(storey, room): share * float((at == storey).mean())
-            for storey in storeys
-            for room, share in self.spaces[storey].rooms_of(points_m[at == storey]).items()
-        }
+        """Return the share of points [N, 3] in each room; see `StoreyRooms.shares`."""
+        return self.rooms.shares(
+            points_m, storeys, self.floors, lambda storey, own: self.spaces[storey].rooms_of(own)
+        )
 
     def point(self, storey: int, cell: tuple[int, int]) -> Array:
         """Return the point [3] on the floor of a storey at the centre of a cell."""

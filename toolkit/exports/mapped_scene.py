@@ -121,30 +121,8 @@ class MappedScene:
 
     def describe_room(self, number: int) -> dict[str, Any]:
         """Return area, place and doors of a room as JSON values."""
-        storey, index = self.building.rooms.order[number]
-        rooms, grid = self.building.rooms.maps[storey], self.building.spaces[storey].grid
-        flat = np.argwhere(rooms.numbers == index) * grid.cell_m
-        return {
-            "name": f"room {number + 1}",
-            "number": number + 1,
-            "storey": storey + 1,
-            "area_m2": round(rooms.areas_m2[index], 2),
-            "size_m": (np.ptp(flat, axis=0)[::-1] + grid.cell_m).round(2).tolist(),
-            "centre_m": self._point(storey, rooms.centres[index]),
-            "doors": [
-                {
-                    "to_room": 1
-                    + self.building.rooms.number(storey, (set(door.rooms) - {index}).pop()),
-                    "width_m": round(door.width_m, 2),
-                    "place_m": self._point(storey, door.cell),
-                }
-                for door in rooms.doors
-                if index in door.rooms
-            ],
-        }
-
-    def _point(self, storey: int, cell: tuple[int, int]) -> list[float]:
-        return self.building.point(storey, cell).round(_DECIMALS).tolist()
+        cell_m = self.building.spaces[0].grid.cell_m
+        return self.building.rooms.describe(number, cell_m, self.building.point)
 
     @cached_property
     def _finders(self) -> list[PathFinder]:

@@ -188,7 +188,7 @@ class LiveRelations:
         floor = np.array([0.0, 0.0, ground.height_m])
         body = self._bodies[number]
         hanging = self._vertical.get(number, ())
-        wall = wall_behind(number, hanging, self._bodies, self._roles) - floor
+        wall = wall_behind(body, hanging, self._bodies, self._roles) - floor
         front = front_of(body.points - floor, cameras_m @ ground.axes - floor, wall)
         if front is None:
             return

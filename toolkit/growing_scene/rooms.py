@@ -122,11 +122,6 @@ class GrowingRooms:
         """The place [2] of a cell (row, column) along the axes of the floor."""
         return np.asarray((np.array(cell[::-1]) + self._low + 0.5) * _CELL_M)
 
-    def size_m(self, number: int) -> list[float]:
-        """Extents of a room along the axes of the floor."""
-        cells = np.argwhere(self.rooms.numbers == number)
-        return ((np.ptp(cells, axis=0)[::-1] + 1) * _CELL_M).round(2).tolist()
-
     def _cells(self, points: Array) -> NDArray[np.int64]:
         return (np.floor(points[:, :2] / _CELL_M) - self._low).astype(np.int64)
 
@@ -167,51 +162,30 @@ class GrowingBuilding:
         self.rooms = numbered_rooms([found.rooms for found in self._storeys], visits)
 
     def rooms_of(self, points_m: Array, storeys: range) -> dict[int, float]:
-        """Share of points [N, 3] in each room of some storeys; walls belong to the nearest one.
+        """Share of points [N, 3] in each room; walls belong to the nearest one.
 
-        Points count on their own storey if there are several, else all on the only one.
+        See `StoreyRooms.shares`.
         """
-        at = self._floors.at(points_m) if len(storeys) > 1 else np.full(len(points_m), storeys[0])
-        return {
-            self.rooms.number(storey, room): share * float((at == storey).mean())
-            for storey in storeys
-            for room, share in self._storeys[storey]
-            .rooms_of(self._local(points_m[at == storey], storey))
-            .items()
-        }
+        return self.rooms.shares(
+            points_m,
+            storeys,
+            self._floors,
+            lambda storey, own: self._storeys[storey].rooms_of(self._local(own, storey)),
+        )
 
     def describe(self, number: int) -> dict[str, Any]:
         """Area, place and doors of a room as JSON values."""
-        storey, index = self.rooms.order[number]
-        found = self._storeys[storey]
-        rooms = found.rooms
-        return {
-            "name": f"room {number + 1}",
-            "number": number + 1,
-            "storey": storey + 1,
-            "area_m2": round(rooms.areas_m2[index], 2),
-            "size_m": found.size_m(index),
-            "centre_m": self._point_m(storey, rooms.centres[index]),
-            "doors": [
-                {
-                    "to_room": 1 + self.rooms.number(storey, (set(door.rooms) - {index}).pop()),
-                    "width_m": round(door.width_m, 2),
-                    "place_m": self._point_m(storey, door.cell),
-                }
-                for door in rooms.doors
-                if index in door.rooms
-            ],
-        }
+        return self.rooms.describe(number, _CELL_M, self._point_m)
 
     def _local(self, points_m: Array, storey: int) -> Array:
         """Points [..., 3] along the axes of the floor, with the height above that of a storey."""
         ground = self._floors.of(storey)
         return np.asarray(points_m @ ground.axes - [0.0, 0.0, ground.height_m])
 
-    def _point_m(self, storey: int, cell: tuple[int, int]) -> list[float]:
-        """The centre of a cell (row, column) on the floor as a point of the world."""
+    def _point_m(self, storey: int, cell: tuple[int, int]) -> Array:
+        """The centre of a cell (row, column) on the floor as a point [3] of the world."""
         ground, place = self._floors.of(storey), self._storeys[storey].place(cell)
-        return (ground.axes @ np.append(place, ground.height_m)).round(4).tolist()
+        return np.asarray(ground.axes @ np.append(place, ground.height_m))
 
 
 def _seen_on(fan: Array, floors: Floors, storey: int) -> Array:

@@ -81,12 +81,12 @@ def relations(
     """
     options = options or RelationOptions()
     bodies = [Body(points_m @ ground.axes) for points_m in objects]
-    vertical = [
-        relation
+    supports = {
+        source: support(source, range(len(bodies)), bodies, roles, options)
         for source in range(len(bodies))
         if roles[source] in ("object", "opening")
-        for relation in support(source, range(len(bodies)), bodies, roles, options)
-    ]
+    }
+    vertical = [relation for own in supports.values() for relation in own]
     linked = {frozenset((r.source, r.target)) for r in vertical}
     pairs = itertools.combinations(range(len(bodies)), 2)
     near = [
@@ -111,7 +111,7 @@ def relations(
     # What is in a shelf neither faces anything nor is faced: the shelf is.
     contained = {r.source for r in vertical if r.kind == "in"}
     free = [k for k in things if k not in contained]
-    walls = {k: wall_behind(k, vertical, bodies, roles) for k in free}
+    walls = {k: wall_behind(bodies[k], supports[k], bodies, roles) for k in free}
     fronts = {
         k: front_of(bodies[k].points - floor, cameras - floor, walls[k] - floor) for k in free
     }
@@ -187,14 +187,18 @@ def highest_below(
 
 
 def wall_behind(
-    source: int,
-    vertical: Iterable[Relation],
+    body: Body,
+    own: Iterable[Relation],
     bodies: Sequence[Body] | Mapping[int, Body],
     roles: Sequence[Role] | Mapping[int, Role],
 ) -> Array:
-    """Return the points [n, 3] around an object of the wall that it hangs at; none without one."""
-    walls = [r.target for r in vertical if r.source == source and roles[r.target] == "wall"]
-    parts = [bodies[wall].points_beside(bodies[source], _BEHIND_M) for wall in walls]
+    """Return the points [n, 3] around a body of the wall that it hangs at; none without one.
+
+    Args:
+        own: what `support` returns for it.
+    """
+    walls = [relation.target for relation in own if roles[relation.target] == "wall"]
+    parts = [bodies[wall].points_beside(body, _BEHIND_M) for wall in walls]
     return np.concatenate([np.empty((0, 3)), *parts])
 
 

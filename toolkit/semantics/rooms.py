@@ -178,7 +178,8 @@ class _Flood:
         self._cell_m2 = cell_m**2
         self._options = options
         padded = np.pad(distance_m, 1)
-        self._width = padded.shape[1]
+        self._width = w = padded.shape[1]
+        self._axes = (1, w, w + 1, w - 1)
         self._distance = padded.ravel()
         self._near_walls = None if near_walls is None else np.pad(near_walls, 1).ravel()
         self._basin = np.full(padded.size, -1, np.int64)
@@ -233,10 +234,12 @@ class _Flood:
         if self._near_walls is None:
             return True
         across = []
-        for step, length in ((1, 1.0), (w := self._width, 1.0), (w + 1, 1.414), (w - 1, 1.414)):
-            ends = [self._end(cell, step), self._end(cell, -step)]
-            across.append((length * abs(ends[0] - ends[1]) / step, ends))
-        return all(bool(self._near_walls[end]) for end in min(across)[1])
+        for step in self._axes:
+            first, last = self._end(cell, step), self._end(cell, -step)
+            rows, columns = np.subtract(divmod(first, self._width), divmod(last, self._width))
+            across.append((math.hypot(rows, columns), first, last))
+        _, first, last = min(across)
+        return bool(self._near_walls[first] and self._near_walls[last])
 
     def _end(self, cell: int, step: int) -> int:
         """The first cell outside in one direction."""
