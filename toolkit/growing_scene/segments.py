@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from toolkit.geometry import se3
 from toolkit.geometry.voxels import voxel_keys
@@ -72,13 +73,15 @@ def labelled_segments(keyframe: Keyframe) -> Segments | None:
     labels = np.where((depth_m > 0) & ~_jumps(depth_m), labels, 0)
     ids = np.zeros(labels.shape, np.int32)
     classes: list[int] = []
-    for number in np.unique(labels[labels > 0]).tolist():
-        mask = (labels == number).astype(np.uint8)
+    for number, place in enumerate(ndimage.find_objects(labels), start=1):
+        if place is None:
+            continue
+        mask = (labels[place] == number).astype(np.uint8)
         count, pieces, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         large = np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] >= _MIN_PIXELS) + 1
         table = np.zeros(count, np.int32)
         table[large] = np.arange(len(classes) + 1, len(classes) + len(large) + 1)
-        ids += table[pieces]
+        ids[place] += table[pieces]
         classes += [number] * len(large)
     found = np.array(classes, np.int32)
     return Segments(ids, found, np.zeros(len(found), np.int32), step)

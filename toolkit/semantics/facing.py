@@ -78,7 +78,7 @@ def _front_of_seat(points: Array, height_m: float) -> Array | None:
 def _flat_axes(points: Array) -> tuple[Array, Array]:
     """Return the horizontal axes [2, 2] of points as columns, the thin one first, and extents."""
     flat = points[:, :2] - points[:, :2].mean(axis=0)
-    _, axes = np.linalg.eigh(np.cov(flat.T) if len(flat) > 2 else np.eye(2))
+    _, axes = np.linalg.eigh(flat.T @ flat if len(flat) > 2 else np.eye(2))
     return axes, np.ptp(flat @ axes, axis=0)
 
 
