@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from toolkit.geometry import se3
+from toolkit.geometry.regions import connected_regions
 from toolkit.geometry.voxels import voxel_keys
 from toolkit.instances.records import KeyframeMasks
 from toolkit.instances.voxels import sampled, sampling_step
@@ -71,19 +70,7 @@ def labelled_segments(keyframe: Keyframe) -> Segments | None:
     labels = sampled(keyframe.class_ids.numpy(), step).astype(np.int32)
     depth_m = sampled(keyframe.depth_m.numpy(), step)
     labels = np.where((depth_m > 0) & ~_jumps(depth_m), labels, 0)
-    ids = np.zeros(labels.shape, np.int32)
-    classes: list[int] = []
-    for number, place in enumerate(ndimage.find_objects(labels), start=1):
-        if place is None:
-            continue
-        mask = (labels[place] == number).astype(np.uint8)
-        count, pieces, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-        large = np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] >= _MIN_PIXELS) + 1
-        table = np.zeros(count, np.int32)
-        table[large] = np.arange(len(classes) + 1, len(classes) + len(large) + 1)
-        ids[place] += table[pieces]
-        classes += [number] * len(large)
-    found = np.array(classes, np.int32)
+    ids, found = connected_regions(labels, min_pixels=_MIN_PIXELS)
     return Segments(ids, found, np.zeros(len(found), np.int32), step)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.regions import connected_regions
 from toolkit.instances.masks import InstanceMasks
 from toolkit.instances.voxels import sampled, sampling_step
 from toolkit.keyframe import Keyframe
@@ -52,9 +53,10 @@ class GeometricMasks:
             rgb = sampled(keyframe.rgb.numpy(), step).transpose(1, 2, 0)
             smooth &= ~_folds(depth_m, keyframe.camera, step)
             smooth &= ~_colour_edges(np.ascontiguousarray(rgb))
-            segments = _components(smooth, np.ones_like(depth_m, np.int32))
+            classes = smooth.astype(np.int32)
         else:
-            segments = _components(smooth, labels.astype(np.int32))
+            classes = np.where(smooth, labels, 0).astype(np.int32)
+        segments, _ = connected_regions(classes, connectivity=4, min_pixels=_MIN_PIXELS)
         segments = _grown(segments, depth_m > 0, labels)
         rows, columns = (
             np.minimum(np.arange(pixels) // step, samples - 1)
@@ -108,22 +110,6 @@ def _colour_edges(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
         edges[:, 1:-1] |= np.abs(channel[:, 2:] - channel[:, :-2]) > _COLOUR
         edges[1:-1] |= np.abs(channel[2:] - channel[:-2]) > _COLOUR
     return edges
-
-
-def _components(inside: NDArray[np.bool_], labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Numbers [H, W] of the connected regions of equal labels above 0, 0 for small ones."""
-    segments = np.zeros(labels.shape, np.int32)
-    count = 0
-    for label in np.flatnonzero(np.bincount(labels[inside & (labels > 0)])):
-        found, components, statistics, _ = cv2.connectedComponentsWithStats(
-            (inside & (labels == label)).astype(np.uint8), connectivity=4
-        )
-        table = np.zeros(found, np.int32)
-        large = np.flatnonzero(statistics[1:, cv2.CC_STAT_AREA] >= _MIN_PIXELS) + 1
-        table[large] = np.arange(count + 1, count + len(large) + 1)
-        count += len(large)
-        segments += table[components]
-    return segments
 
 
 def _grown(

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from torch import Tensor
 
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.regions import connected_regions
 from toolkit.keyframe import Keyframe
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.rendering import SurfaceView
@@ -202,11 +202,5 @@ def _corrected(view: SurfaceView, keyframe: Keyframe, semantics: SemanticMapping
 
 def connected_segments(labels: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Connected segments of a label image: their numbers [H, W] and the class of each [K]."""
-    segments = np.zeros(labels.shape, np.int32)
-    classes: list[int] = []
-    for class_id in np.unique(labels):
-        count, components = cv2.connectedComponents((labels == class_id).astype(np.uint8))
-        inside = components > 0
-        segments[inside] = components[inside] - 1 + len(classes)
-        classes += [int(class_id)] * (count - 1)
-    return segments, np.array(classes, np.int64)
+    regions, classes = connected_regions(labels.astype(np.int32) + 1)
+    return regions - 1, classes.astype(np.int64) - 1
