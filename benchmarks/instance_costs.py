@@ -23,8 +23,7 @@ COST_TITLE = "Time and memory"
 COST_NOTE = """\
 CPU time per frame of three systems that take turns with every frame, and of the end of the run,
 which is not a part of it; peak memory of `semsplat run` in a process of its own. "More" is relative
-to instances that are off. Folder: true masks. The first 60 frames of a room with sensor noise at
-320x240."""
+to instances that are off. Folder: true masks. The first 60 frames, with sensor noise."""
 
 
 def measure_costs(path: Path, seed: int) -> dict[str, Metrics]:

@@ -47,9 +47,10 @@ from toolkit.slam.system import Slam
 # Name of a sequence: its dataset, number of frames and image size.
 SEQUENCES = ("room", "office0", "ring")
 ROOMS = {"room": "room-instances", "ring": "ring-small"}
-COSTS = "time and memory"
+# Rooms whose time and memory is measured.
+COSTS = {"room at 320x240": "room-objects", "ring at 160x120": "ring-small"}
 # Number of seeds of the sequences that are not measured with all of them.
-FEWER_SEEDS = {"office0": 1, "ring": 1, COSTS: 1}
+FEWER_SEEDS = {"office0": 1, "ring": 1} | dict.fromkeys(COSTS, 1)
 FAULTS = {
     "true masks": Faults(),
     "20 % dropped": Faults(dropped=0.2),
@@ -95,8 +96,8 @@ def main(options: Options) -> None:
     report = Report("instances", title, DESCRIPTION, options, range(options.seeds))
     jobs = (*SEQUENCES, COSTS)
     found = report.measured({name: name for name in jobs}, measure)
-    rows = _rows({name: runs for name, runs in found.items() if name != COSTS})
-    costs = _rows({"room at 320x240": found.get(COSTS, [])})
+    rows = _rows({name: runs for name, runs in found.items() if name not in COSTS})
+    costs = _rows({name: runs for name, runs in found.items() if name in COSTS})
     report.write(
         table_of(COLUMNS, rows),
         _ranges({name: runs for name, runs in rows.items() if len(runs) > 1}),
@@ -129,8 +130,8 @@ def measure(name: str, seed: int) -> Metrics:
     """Metrics of all rows of a sequence, by row; none for a seed beyond those of the sequence."""
     if seed >= FEWER_SEEDS.get(name, seed + 1):
         return {}
-    if name == COSTS:
-        return dict(measure_costs(room("room-objects", seed), seed))
+    if name in COSTS:
+        return dict(measure_costs(room(COSTS[name], seed), seed))
     return _scored(name, seed)
 
 
