@@ -94,7 +94,7 @@ def main(options: Options) -> None:
     """Measure all rows and write the results."""
     title = "Instances"
     report = Report("instances", title, DESCRIPTION, options, range(options.seeds))
-    jobs = (*SEQUENCES, COSTS)
+    jobs = (*SEQUENCES, *COSTS)
     found = report.measured({name: name for name in jobs}, measure)
     rows = _rows({name: runs for name, runs in found.items() if name not in COSTS})
     costs = _rows({name: runs for name, runs in found.items() if name in COSTS})
