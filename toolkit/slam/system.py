@@ -6,12 +6,11 @@ import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.geometry import se3
 from toolkit.growing_scene.growing import GrowingScene
@@ -21,10 +20,9 @@ from toolkit.instances.saved import SavedObjects
 from toolkit.instances.tracking import InstanceTracker
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
-from toolkit.loops.closing.interface import LoopClosing
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.mapping.deferred import DeferredSteps
-from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
+from toolkit.mapping.intermediate_frames import IntermediateFrames
 from toolkit.mapping.keyframes import KeyframeChoice
 from toolkit.mapping.mapper import Mapper, MappingResult
 from toolkit.refinement.anchors import align_anchors
@@ -38,6 +36,7 @@ from toolkit.slam.collection import collected, parts_of, poses_beside
 from toolkit.slam.frame_locator import FrameLocator
 from toolkit.slam.frame_preparation import FramePreparation, FrameSources
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.intermediate_mapping import IntermediateMapping
 from toolkit.slam.length_unit import METRE, LengthUnit
 from toolkit.slam.recovery import Recovery
 from toolkit.slam.result import FrameResult, SlamResult
@@ -52,18 +51,13 @@ from toolkit.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
 
-_Part = (
-    SubmapChanges
-    | Recovery
-    | Mapper
-    | Atlas
-    | LoopClosing
-    | CameraPath
-    | IntermediateFrames
-    | DepthCorrection
-    | InstanceTracker
-    | GrowingScene
-)
+
+class _Part(Protocol):
+    """A component whose state consists of arrays and JSON values."""
+
+    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]: ...
+
+    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None: ...
 
 
 class Slam:
@@ -100,8 +94,14 @@ class Slam:
         )
         options, measured = mapper.options, self._preparation.correction is None
         views = options.final_views if options.final_iterations else 0
-        self._between = IntermediateFrames(options.fill_holes, views, measured)
         label = self._preparation.labelled
+        self._between = IntermediateMapping(
+            IntermediateFrames(options.fill_holes, views, measured),
+            mapper,
+            self.atlas,
+            label,
+            self._recorder,
+        )
         self._recovery = Recovery(front_end, mapper, self.atlas, self._path, label, self._recorder)
         self._locator = FrameLocator(front_end, self.atlas, self._recovery, self._recorder)
         self._changes = SubmapChanges(front_end, mapper, self.atlas, self._recorder)
@@ -212,14 +212,13 @@ class Slam:
                 self._changes.start_if_due(tracking)
                 T_map_camera = self.atlas.keyframes[-1].T_map_camera
             elif again.found is not None:
-                self._select_between()
+                self._between.select()
                 if self.mapper.deferred is None:
-                    self._map_intermediate_frames()
+                    self._between.map_all()
                 self._changes.enter(again.found, frame, T_map_camera)
                 T_map_camera, tracking = again.found.T_submap_camera, again.found.result
         elif may_map:
-            last, exposure = self.atlas.keyframes[-1], exposure_of(tracking)
-            self._between.add(frame, last, T_map_camera, exposure)
+            self._between.add(frame, T_map_camera, exposure_of(tracking))
 
         if self._instances is not None:
             with self._recorder.timed(Stage.INSTANCES):
@@ -284,24 +283,7 @@ class Slam:
     @single_threaded_blas()
     def map_intermediate_frame(self) -> bool:
         """Map the first intermediate frame that waits; return False if none does."""
-        between = self._between.take()
-        if between is None:
-            return False
-        keyframes = self.atlas.current.keyframes_from(between.keyframe)
-        if not keyframes:
-            return True  # of another submap
-        T_map_camera = keyframes[0].T_map_camera @ between.T_keyframe_camera
-        densification, seen = self.mapper.densification, between.frame
-        with self._recorder.timed(Stage.MAPPING):
-            view = self.mapper.render(self.atlas.gaussians, seen.camera, T_map_camera)
-            mask = densification.unmapped_pixels(view, seen, T_map_camera, keyframes)
-        if mask.mean() >= MIN_OUTSIDE:
-            frame = self._preparation.labelled(between.at_map_exposure(), T_map_camera)
-            with self._recorder.timed(Stage.MAPPING):
-                densification.seed_pixels(
-                    self.atlas.current, frame, T_map_camera, mask, keyframes[0]
-                )
-        return True
+        return self._between.map_next()
 
     @single_threaded_blas()
     def finish(self, progress: StepProgress = iter) -> SlamResult:
@@ -311,8 +293,8 @@ class Slam:
             progress: wraps the numbers of the refinement's steps, for instance in a progress bar.
         """
         if self.atlas.keyframes:
-            self._select_between()
-            self._map_intermediate_frames()
+            self._between.select()
+            self._between.map_all()
             with self._recorder.timed(Stage.REFINEMENT):
                 self._closer.finish(self.atlas, self.mapper)
                 parts = self.parts
@@ -375,22 +357,13 @@ class Slam:
             keyframe.prior_m = keyframe.depth_m
         self._refine_pose(keyframe)
         if self.atlas.keyframes:
-            self._select_between(keyframe)
+            self._between.select(keyframe)
         with self._recorder.timed(Stage.MAPPING):
             mapping = self.mapper.add_keyframe(self.atlas.current, keyframe)
         if self.mapper.deferred is None:
-            self._map_intermediate_frames()
+            self._between.map_all()
         self._closer.keyframe_added(self.atlas)
         return mapping
-
-    def _select_between(self, newest: Keyframe | None = None) -> None:
-        """Select from the frames between the last keyframe and a new one, or at the end."""
-        last = self.atlas.keyframes[-1]
-        self.atlas.current.views.extend(self._between.select(last, newest))
-
-    def _map_intermediate_frames(self) -> None:
-        while self.map_intermediate_frame():
-            pass
 
     def _refine_pose(self, keyframe: Keyframe) -> None:
         """Refine the pose of a new keyframe; the tracker continues from the refined pose."""
@@ -421,7 +394,7 @@ class Slam:
         self._preparation.restore(arrays_below(arrays, "segmenter/"))
 
     def _parts(self) -> dict[str, _Part]:
-        """Components whose state consists of arrays and JSON values, in the order of restoring."""
+        """The components with a state, in the order of restoring."""
         parts: dict[str, _Part] = {
             "mapper": self.mapper,
             "atlas": self.atlas,
