@@ -106,7 +106,7 @@ def test_a_resumed_scene_has_the_same_storeys(content):
 def test_rooms_of_storeys_do_not_mix_and_are_numbered_by_first_visit():
     parts = points_of(0), points_of(1)
     walls = np.concatenate([part["wall"] for part in parts])
-    inside = np.concatenate([part[name] for part in parts for name in ("floor", "table")])
+    ground, tables = (np.concatenate([part[k] for part in parts]) for k in ("floor", "table"))
     floors = Floors(Ground(np.array([0.0, 0.0, 1.0]), 0.0), Storeys([0.0, STOREY_M]))
     fans = [
         np.array([x, y, storey * STOREY_M + 1.5]) + np.zeros((4, 24, 3)) for x, y, storey in VISITED
@@ -114,7 +114,7 @@ def test_rooms_of_storeys_do_not_mix_and_are_numbered_by_first_visit():
     # From the upper storey down to places beside the house.
     down = np.array([4.0, 5.0, STOREY_M + 1.5]) + np.zeros((4, 24, 3))
     down[1:] = np.stack([np.linspace(0, 8, 24), np.full(24, -3.0), np.zeros(24)], axis=1)
-    building = GrowingBuilding(floors, walls, inside, [*fans, down])
+    building = GrowingBuilding(floors, walls, ground, tables, [*fans, down])
     assert [storey for storey, _ in building.rooms.order] == [0, 1, 1, 0]
     rooms = [building.describe(k) for k in range(4)]
     assert [room["area_m2"] for room in rooms] == pytest.approx(AREAS_M2, rel=0.15)

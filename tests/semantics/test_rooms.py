@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toolkit.semantics import rooms
-from toolkit.semantics.rooms import RoomMap, RoomOptions, find_rooms
+from toolkit.semantics.rooms import RoomMap, RoomOptions, find_rooms, free_floor
 
 CELL_M = 0.05
 FLAT = ((0, 0, 12.8, 1.9), *((4.3 * k, 2.1, 4.3 * k + 4.2, 6.1) for k in range(3)))
@@ -80,6 +80,18 @@ def test_a_gap_of_a_wall_is_no_door():
     assert (len(found), found.doors) == (2, [])
     found = find_rooms(canvas(*rooms, (3.9, 1.0, 4.3, 1.7)), CELL_M)
     assert (len(found), len(found.doors)) == (2, 1)
+
+
+def test_a_gap_behind_furniture_is_no_door():
+    rooms, gap = ((0, 0, 4, 4), (4.2, 0, 8, 4)), (3.9, 1.0, 4.3, 1.8)
+    inside = canvas(*rooms, gap)
+    free = inside.copy()
+    free[cell(3.2, 0.6)[0] : cell(3.2, 2.2)[0], cell(3.2, 0.6)[1] : cell(4.8, 0.6)[1]] = False
+    found = find_rooms(inside, CELL_M, free=free)
+    assert (len(found), found.doors) == (2, [])
+    assert len(find_rooms(inside, CELL_M, free=inside).doors) == 1
+    passed = free_floor(free, np.array([cell(4.1, 1.4)]), CELL_M)
+    assert len(find_rooms(inside, CELL_M, free=passed).doors) == 1
 
 
 def test_a_pillar_does_not_split_a_corridor():

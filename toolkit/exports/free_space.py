@@ -17,7 +17,7 @@ from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from toolkit.runs.visibility import KeyframeViews
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.roles import ENCLOSING_NAMES
-from toolkit.semantics.rooms import RoomMap, RoomOptions, find_rooms
+from toolkit.semantics.rooms import RoomMap, RoomOptions, find_rooms, free_floor
 from toolkit.semantics.scene import WALL_NAMES
 
 Mask = NDArray[np.bool_]
@@ -93,7 +93,9 @@ def free_space(
     walls = _walls(opaque, heights_m, options.max_height_m) & within
     cells = covering(raw, means_m[walls], radii_m[walls]) >= options.min_gaussians
     inside = _inside(raw, cells, _seen_through(raw, views))
-    return FreeSpace(_without_gaps(raw), find_rooms(inside, raw.cell_m, room_options, cells))
+    grid = _without_gaps(raw)
+    free = free_floor(grid.cells == FREE, grid.cells_of(views.T_map_camera[:, :3, 3]), grid.cell_m)
+    return FreeSpace(grid, find_rooms(inside, raw.cell_m, room_options, cells, free))
 
 
 def _walls(opaque: SelectedGaussians, heights_m: NDArray[np.float64], max_height_m: float) -> Mask:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from toolkit.keyframe import Keyframe
-from toolkit.semantics.rooms import RoomMap, find_rooms
+from toolkit.semantics.rooms import RoomMap, find_rooms, free_floor
 from toolkit.semantics.storey_rooms import numbered_rooms
 from toolkit.semantics.storeys import Floors
 
@@ -71,7 +71,8 @@ class GrowingRooms:
     Args:
         walls: [N, 3] points of what encloses rooms, along the axes of the floor; z is the height
             above it.
-        inside: [M, 3] points of floors and objects.
+        floor: [M, 3] points of the floor.
+        objects: [K, 3] points of objects.
         fans: [1 + R, D, 3] points of what each keyframe looked through.
         headroom_m: height up to the next floor.
 
@@ -81,13 +82,22 @@ class GrowingRooms:
     """
 
     def __init__(
-        self, walls: Array, inside: Array, fans: Sequence[Array], headroom_m: float = np.inf
+        self,
+        walls: Array,
+        floor: Array,
+        objects: Array,
+        fans: Sequence[Array],
+        headroom_m: float = np.inf,
     ) -> None:
-        flat = np.concatenate([walls[:, :2], inside[:, :2], *(f[0, :1, :2] for f in fans)])
+        cameras = np.array([fan[0, 0] for fan in fans]).reshape(-1, 3)
+        flat = np.concatenate([part[:, :2] for part in (walls, floor, objects, cameras)])
         self._low = np.floor(flat.min(axis=0) / _CELL_M) - 2
         size = (np.ceil(flat.max(axis=0) / _CELL_M) - self._low + 2).astype(int)
         seen = np.zeros((int(size[1]), int(size[0])), np.uint8)
-        x, y = self._cells(inside).T
+        x, y = self._cells(floor).T
+        seen[y, x] = 1
+        walkable = _closed(seen)
+        x, y = self._cells(objects).T
         seen[y, x] = 1
         for fan in fans:
             for row in fan[1:]:
@@ -98,9 +108,10 @@ class GrowingRooms:
         high = (walls[:, 2] >= _MIN_HEIGHT_M) & (walls[:, 2] <= max_height_m)
         x, y = self._cells(walls[high]).T
         wall[y, x] = True
-        closed = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)
-        rooms = find_rooms(closed & ~wall, _CELL_M, walls=wall)
-        x, y = self._cells(np.array([fan[0, 0] for fan in fans]).reshape(-1, 3)).T
+        at = self._cells(cameras)
+        free = free_floor(walkable & ~wall, at[:, ::-1], _CELL_M)
+        rooms = find_rooms(_closed(seen) & ~wall, _CELL_M, walls=wall, free=free)
+        x, y = at.T
         if fans:
             rooms = rooms.renumbered(rooms.numbers[y, x].astype(np.intp))
         self.rooms: RoomMap = rooms
@@ -132,22 +143,26 @@ class GrowingBuilding:
     Args:
         floors: planes of the floors.
         walls: [N, 3] points of what encloses rooms, in the world.
-        inside: [M, 3] points of floors and objects.
+        ground: [M, 3] points of floors.
+        objects: [K, 3] points of objects.
         fans: [1 + R, D, 3] points of what each keyframe looked through.
 
     Attributes:
         rooms: all rooms, in the order of the keyframes' first visits.
     """
 
-    def __init__(self, floors: Floors, walls: Array, inside: Array, fans: Sequence[Array]) -> None:
+    def __init__(
+        self, floors: Floors, walls: Array, ground: Array, objects: Array, fans: Sequence[Array]
+    ) -> None:
         self._floors = floors
         cameras = floors.at(np.array([fan[0, 0] for fan in fans]).reshape(-1, 3))
-        inside_at = floors.at(inside)
+        ground_at, objects_at = floors.at(ground), floors.at(objects)
         self._storeys, visits = [], []
         for storey in range(len(floors.storeys)):
             found = GrowingRooms(
                 self._local(walls, storey),
-                self._local(inside[inside_at == storey], storey),
+                self._local(ground[ground_at == storey], storey),
+                self._local(objects[objects_at == storey], storey),
                 [
                     self._local(_seen_on(fan, floors, storey), storey)
                     for fan, at in zip(fans, cameras, strict=True)
@@ -186,6 +201,11 @@ class GrowingBuilding:
         """The centre of a cell (row, column) on the floor as a point [3] of the world."""
         ground, place = self._floors.of(storey), self._storeys[storey].place(cell)
         return np.asarray(ground.axes @ np.append(place, ground.height_m))
+
+
+def _closed(cells: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Cells without gaps of one cell."""
+    return cv2.morphologyEx(cells, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)
 
 
 def _seen_on(fan: Array, floors: Floors, storey: int) -> Array:

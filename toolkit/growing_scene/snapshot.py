@@ -108,7 +108,8 @@ def _building(snapshot: Snapshot, floors: Floors) -> GrowingBuilding:
         return np.concatenate([np.zeros((0, 3)), *found])
 
     fans = [fan.world_m(snapshot.poses) for fan in snapshot.fans]
-    return GrowingBuilding(floors, points_of("wall", "opening"), points_of("object", "floor"), fans)
+    walls, ground, objects = points_of("wall", "opening"), points_of("floor"), points_of("object")
+    return GrowingBuilding(floors, walls, ground, objects, fans)
 
 
 def _floors(snapshot: Snapshot) -> Floors:

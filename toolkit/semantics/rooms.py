@@ -4,7 +4,8 @@ The floor is flooded from the places farthest from walls. Two basins that meet a
 two rooms if the passage is as narrow as a door and clearly narrower than both basins, else one
 (a merge tree of the distance transform, as in watershed segmentation with a persistence test).
 Furniture does not separate rooms: only walls count as obstacles. Where the floor ends because no
-view shows more of it, it is not narrow.
+view shows more of it, it is not narrow. The gap that a wall seems to have behind furniture is no
+door: nobody has seen free floor there.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ _MAX_CELLS = 250_000
 _MIN_CORE_M2 = 0.4
 # The walls at both sides of a passage are found at most this far beyond the floor between them.
 _JAMB_M = 0.15
+# Half of the cells at most this far from the middle of a door are free floor.
+_DOORSTEP_M = 0.25
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,11 @@ class RoomMap:
 
 
 def find_rooms(
-    inside: Mask, cell_m: float, options: RoomOptions | None = None, walls: Mask | None = None
+    inside: Mask,
+    cell_m: float,
+    options: RoomOptions | None = None,
+    walls: Mask | None = None,
+    free: Mask | None = None,
 ) -> RoomMap:
     """Split the floor between walls into rooms.
 
@@ -111,6 +118,7 @@ def find_rooms(
         cell_m: edge of a cell in metres.
         options: options of the segmentation.
         walls: [H, W] cells of walls; all cells that are not inside if absent.
+        free: [H, W] cells of free floor, which doors have; all cells that are inside if absent.
 
     Returns:
         The rooms, largest first.
@@ -138,8 +146,31 @@ def find_rooms(
         Door((a, b), (row * step + step // 2, column * step + step // 2), width_m)
         for (a, b), (row, column), width_m in flood.doors()
     ]
+    if free is not None:
+        doors = [door for door in doors if _is_free(free, door.cell, cell_m)]
     found = RoomMap(numbers, areas_m2, centres, doors)
     return found.renumbered(np.argsort(-np.array(areas_m2), kind="stable"))
+
+
+def free_floor(floor: Mask, cameras: NDArray[np.integer], cell_m: float) -> Mask:
+    """Return where somebody can walk: on observed floor, and where the camera passed.
+
+    Args:
+        floor: [H, W] cells of floor without obstacles.
+        cameras: [P, 2] row and column of each position of the camera.
+        cell_m: edge of a cell in metres.
+    """
+    free = floor.astype(np.uint8)
+    for row, column in cameras.tolist():
+        cv2.circle(free, (column, row), round(_DOORSTEP_M / cell_m), 1, -1)
+    return free.astype(bool)
+
+
+def _is_free(free: Mask, cell: tuple[int, int], cell_m: float) -> bool:
+    reach = round(_DOORSTEP_M / cell_m)
+    row, column = (max(place, reach) for place in cell)
+    around = free[row - reach : row + reach + 1, column - reach : column + reach + 1]
+    return bool(2 * around.sum() >= around.size)
 
 
 def _distance_m(inside: Mask, cell_m: float) -> NDArray[np.float32]:
