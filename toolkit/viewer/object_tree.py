@@ -115,7 +115,7 @@ class ObjectTree:
         self._view.mark(chosen)
         self._details.visible = chosen is not None
         if chosen is not None:
-            self._details.content = _details_html(chosen)
+            self._details.content = _details_html(chosen, self._view.scene.length)
 
 
 def _place(one: ShownObject) -> str:
@@ -124,7 +124,9 @@ def _place(one: ShownObject) -> str:
     return f"{one.storey}, {room}" if one.storey else room
 
 
-def _details_html(chosen: ShownObject) -> str:
+def _details_html(chosen: ShownObject, length: str) -> str:
+    """Name, place, size and relations of an object."""
+    about = f"{_place(chosen)}, {' x '.join(f'{edge:.2f}' for edge in chosen.size_m)} {length}"
     lines = "".join(f"<li>{escape(relation)}</li>" for relation in chosen.relations)
-    name = f"<b>{escape(chosen.name)}</b>"
-    return f'<div style="font-size:13px;padding:4px 8px">{name}<ul>{lines}</ul></div>'
+    text = f"<b>{escape(chosen.name)}</b><br>{escape(about)}<ul>{lines}</ul>"
+    return f'<div style="font-size:13px;padding:4px 8px">{text}</div>'
