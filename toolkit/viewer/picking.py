@@ -72,7 +72,8 @@ def object_at(
         if _may_be(one, class_path):
             distance_m = _distance_m(one, point_m)
             if distance_m <= _REACH_M:
-                found.append((distance_m, float(one.size_m.prod()), one.number))
+                # Rounded, since 0 inside of a box is not exact.
+                found.append((round(distance_m, 6), float(one.size_m.prod()), one.number))
     return min(found)[2] if found else None
 
 
