@@ -12,7 +12,9 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from scripted_camera import ScriptedCamera, room_frames
 
@@ -31,6 +33,8 @@ from toolkit.runs.finished import load_run
 from toolkit.runs.settings import RunSettings
 from toolkit.viewer.live import LiveRun
 from toolkit.viewer.options import ShownContent
+from toolkit.viewer.scene import ViewerScene
+from toolkit.viewer.server import MapServer, start_viser, stop_viser
 
 QUICK = MapperOptions(
     first_iterations=4, iterations=1, final_iterations=1, keyframes=KeyframePolicy(interval=1)
@@ -105,7 +109,7 @@ class Viewer(Follower):
 
     def __init__(self, taken) -> None:
         super().__init__(taken)
-        self.objects: list[dict[int, str]] = []
+        self.scenes: list[ViewerScene] = []
 
     def started(self, run) -> None:
         self.live = LiveRun(run.folder.path, ShownContent())
@@ -117,7 +121,7 @@ class Viewer(Follower):
             assert time.monotonic() < deadline_s
             time.sleep(0.01)
         self.calls.append(f"{scene.title}: {len(scene.keyframes)} keyframes")
-        self.objects.append({one.number: one.name for one in scene.objects})
+        self.scenes.append(scene)
         super().frame_processed(frame, result)
 
 
@@ -132,12 +136,46 @@ def test_a_viewer_follows_a_live_run(tmp_path: Path, monkeypatch):
     run_live(settings, LiveOptions(), camera, out, LiveHooks(observers=[viewer]))
     shown = [call for call in viewer.calls if "keyframes" in call]
     assert shown == [f"run, frame {i + 1}: {i + 1} keyframes" for i in range(4)]
-    assert not viewer.objects[0] and viewer.objects[-1], "objects appear while the map grows"
+    growing = viewer.scenes[-1]
+    assert not viewer.scenes[0].objects and growing.objects, "objects appear while the map grows"
     final = viewer.live.poll()
     assert final.title == "run" and viewer.live.finished
-    names = {one.number: one.name for one in final.objects}
-    assert names.items() & viewer.objects[-1].items(), "the finished run has the same objects"
+    assert names(growing).items() & names(final).items(), "the finished run has the same objects"
     assert not (out / "live").exists()
+    assert all(one.voxels_m is not None for one in growing.objects)
+    for scene in (growing, final):
+        overhang_m = overhang_at_clicks(scene)
+        assert len(overhang_m) > 20 and np.percentile(overhang_m, 90) < 0.1
+
+
+def names(scene: ViewerScene) -> dict[int, str]:
+    return {one.number: one.name for one in scene.objects}
+
+
+def overhang_at_clicks(scene: ViewerScene) -> list[float]:
+    """How far the surface lies outside of the box of the chosen object, at pixels that choose one.
+
+    The pixels are those of the last frame, the surface is its true depth.
+    """
+    pytest.importorskip("viser")
+    frame, T = FRAMES[-1], scene.path[-1]
+    objects = {one.number: one for one in scene.objects}
+    found_m = []
+    server = start_viser("127.0.0.1", 0)
+    try:
+        shown = MapServer(server)
+        shown.show(scene)
+        for local in frame.camera.unproject(frame.depth_m, 4).reshape(-1, 3):
+            ray_m = T[:3, :3] @ local
+            shown._controls._clicked(SimpleNamespace(ray_origin=T[:3, 3], ray_direction=ray_m))
+            chosen = objects.get(shown._controls._objects._chosen)
+            if chosen is not None:
+                offset_m = T[:3, 3] + ray_m - chosen.corners_m.mean(axis=0)
+                along_m = chosen.edges_m / chosen.size_m[:, None] @ offset_m
+                found_m.append(float((np.abs(along_m) - chosen.size_m / 2).max()))
+    finally:
+        stop_viser(server)
+    return found_m
 
 
 def test_frames_of_a_camera_are_removed_unless_they_are_wanted(tmp_path: Path):

@@ -125,7 +125,11 @@ def test_snapshots_and_checkpoints_have_the_scene_graph(tiny_recording, tmp_path
     run.process(9.0)
     expected = run.slam.scene.content()
     assert len(expected["nodes"]) > 3
-    assert reader.read().graph == expected
+    seen = reader.read()
+    assert seen.graph == expected
+    points_m = run.slam.scene.snapshot().points_m
+    assert set(seen.voxels_m) == set(points_m)
+    assert all(np.array_equal(seen.voxels_m[n], points_m[n]) for n in points_m)
     run.folder.save_checkpoint(6, *run.slam.state())
     run.observers.close()
     assert ProgressReader(run.path).read().graph == expected

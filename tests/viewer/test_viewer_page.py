@@ -288,7 +288,10 @@ def test_the_tree_of_objects_marks_the_chosen_one(browser, tmp_path):
     before = settled(watched)
     entries.first.click()
     assert entries.first.get_attribute("aria-pressed") == "true"
-    assert watched.page.locator("#graph li:visible").all_text_contents() == ["next to lamp 1"]
+    assert watched.page.locator("#graph li:visible").all_text_contents() == [
+        "1.79 x 1.39 x 0.02 m",
+        "next to lamp 1",
+    ]
     marked = settled(watched)[:, 300:]
     yellow = (marked[..., 0] > 200) & (marked[..., 1] > 150) & (marked[..., 2] < 120)
     assert yellow.sum() > 50 and (marked != before[:, 300:]).any()
@@ -296,6 +299,43 @@ def test_the_tree_of_objects_marks_the_chosen_one(browser, tmp_path):
     assert entries.first.get_attribute("aria-pressed") == "false"
     unmarked = settled(watched)[:, 300:]
     assert (unmarked[yellow] != marked[yellow]).any(axis=1).mean() > 0.9
+    assert watched.errors == []
+    watched.page.close()
+
+
+def test_a_click_on_gaussians_chooses_the_object_of_their_class(browser, tmp_path):
+    """The box of the sofa is around all, that of the cabinet around the one of the table."""
+    scene = two_panels()
+    low, high = scene.splats.means_m.min(axis=0), scene.splats.means_m.max(axis=0)
+    whole = np.array([[(low, high)[i >> a & 1][a] for a in range(3)] for i in range(8)])
+    left = np.minimum(whole, (0.0, np.inf, np.inf))
+    behind = np.where(np.arange(3) == 2, whole + 0.05, whole)
+    table, wall = ("furniture", "table"), ("structure", "wall")
+    objects = (
+        ShownObject(3, "sofa 3", "room 1", whole, path=("furniture", "sofa")),
+        ShownObject(4, "cabinet 4", "room 1", behind, path=table),
+        ShownObject(5, "table 5", "room 2", left, path=table),
+        ShownObject(6, "wall 6", "room 2", whole + 0.5, path=wall),
+    )
+    write_page(tmp_path / "viewer.html", replace(scene, objects=objects))
+    watched = WatchedPage(browser)
+    watched.page.goto((tmp_path / "viewer.html").as_uri())
+    drawn(watched)
+    for layer in ("path", "keyframes", "loops"):
+        watched.page.uncheck(f"#layer-{layer}")
+    before = settled(watched)
+    watched.page.mouse.click(*TABLE)
+    pressed = watched.page.locator('#graph button[aria-pressed="true"]')
+    assert pressed.all_text_contents() == ["table 5"]
+    assert pressed.is_visible(), "its room was closed"
+    seen = settled(watched)[:, 300:]
+    changed = (np.abs(seen - before[:, 300:]) > 10).any(axis=2).mean()
+    assert 0 < changed < 0.05, "the box is drawn, the view stays"
+    watched.page.mouse.click(*WALL)
+    assert pressed.count() == 0 and "structure > wall" in watched.page.inner_text("#picked")
+    watched.page.mouse.click(*TABLE)
+    watched.page.mouse.click(890, 12)
+    assert pressed.count() == 0, "the background is no object"
     assert watched.errors == []
     watched.page.close()
 

@@ -129,11 +129,16 @@ class GrowingScene:
 
     def content(self) -> dict[str, Any] | None:
         """The graph in node-link format; None before the floor is known."""
+        snapshot = self.snapshot()
+        return None if snapshot is None else snapshot_content(snapshot, self._taxonomy)
+
+    def snapshot(self) -> Snapshot | None:
+        """The scene at this time; None before the floor is known."""
         if self._floors is None:
             return None
         points = {n: self._points(n) for n in sorted(self.objects)}
         roles = {n: self._role(one) for n, one in self.objects.items()}
-        snapshot = Snapshot(
+        return Snapshot(
             self.objects,
             points,
             roles,
@@ -144,7 +149,6 @@ class GrowingScene:
             self._fans,
             self._poses,
         )
-        return snapshot_content(snapshot, self._taxonomy)
 
     def _add(self, submap: int, keyframe: Keyframe, metres_per_unit: float) -> None:
         segments = self._segments(submap, keyframe)

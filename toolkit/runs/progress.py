@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from toolkit.errors import FormatError, RunFolderError
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.geometry.camera import Camera
 from toolkit.growing_scene.growing import GrowingScene
+from toolkit.growing_scene.snapshot import Snapshot, snapshot_content
 from toolkit.io.arrays import JoinedArrays, arrays_below, read_array_tree
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
@@ -84,6 +85,7 @@ class RunProgress:
         doubtful: indices of the tracked frames whose poses may be wrong.
         lost: indices of the frames without a pose.
         graph: the scene graph so far in node-link format; None without one.
+        voxels_m: by the number of an object of the graph, [V, 3] mean point of each of its voxels.
     """
 
     next_frame: int
@@ -97,6 +99,7 @@ class RunProgress:
     doubtful: frozenset[int] = frozenset()
     lost: frozenset[int] = frozenset()
     graph: dict[str, Any] | None = None
+    voxels_m: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
 
 class ProgressReader:
@@ -180,6 +183,7 @@ class ProgressReader:
         path = [poses[tracked[i]["keyframe"]] @ relative[i] for i in known]
         first = next(iter(rows), None)
         taxonomy, decode = self._decoder(arrays_below(arrays, "mapper/semantics/"))
+        scene = None if taxonomy is None else _growing_scene(taxonomy, arrays, values)
         return RunProgress(
             next_frame=int(metadata["next_frame"]),
             parts=self._parts(arrays, anchors, values["atlas"]["store"], number),
@@ -191,7 +195,8 @@ class ProgressReader:
             decode=decode,
             doubtful=frozenset(int(row["index"]) for row in tracked if row["doubt"]),
             lost=frozenset(int(index) for index, _ in values["path"]["lost_frames"]),
-            graph=None if taxonomy is None else _scene_graph(taxonomy, arrays, values),
+            graph=None if taxonomy is None or scene is None else snapshot_content(scene, taxonomy),
+            voxels_m={} if scene is None else scene.points_m,
         )
 
     def _parts(
@@ -239,10 +244,10 @@ class ProgressReader:
         return taxonomy, decode
 
 
-def _scene_graph(
+def _growing_scene(
     taxonomy: Taxonomy, arrays: dict[str, NDArray], values: dict[str, Any]
-) -> dict[str, Any] | None:
-    """The graph of a growing scene, whose arrays are joined in snapshots."""
+) -> Snapshot | None:
+    """The growing scene, whose arrays are joined in snapshots; None without one."""
     if "scene" not in values:
         return None
     own = arrays_below(arrays, "scene/")
@@ -250,7 +255,7 @@ def _scene_graph(
         own = JoinedArrays(own, values["scene_index"]).split()
     scene = GrowingScene(taxonomy)
     scene.restore(own, values["scene"])
-    return scene.content()
+    return scene.snapshot()
 
 
 def read_serial(slot: Path) -> int | None:

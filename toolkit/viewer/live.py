@@ -78,7 +78,9 @@ class LiveRun:
                 self._reader.folder.loops,
                 {i: T[:3, 3] for i, T in zip(progress.indices, poses, strict=True)},
             ),
-            objects=() if progress.graph is None else graph_objects(progress.graph),
+            objects=()
+            if progress.graph is None
+            else graph_objects(progress.graph, progress.voxels_m),
         )
 
 

@@ -11,8 +11,11 @@ from toolkit.viewer.scene import ShownObject
 from toolkit.viewer.server_scene import ServerScene
 
 _COLOUR, _CHOSEN_COLOUR = "gray", "yellow"
-# Place of what lies below all rooms.
-_LAST = 1e9
+# Place of what lies above all rooms, where a click in the view is seen to have an effect.
+_FIRST = -1.0
+# Its height does not change, or the entries below would move away under the pointer.
+_CARD_STYLE = "font-size:13px;padding:4px 8px;height:100px;overflow-y:auto"
+_NOTHING = "No object is chosen. Click one here or in the view."
 
 
 @dataclass
@@ -38,7 +41,7 @@ class ObjectTree:
         self._server, self._view = server, view
         self._folder = server.gui.add_folder("Objects", visible=False)
         with self._folder:
-            self._details = server.gui.add_html("", order=_LAST, visible=False)
+            self._details = server.gui.add_html("", order=_FIRST)
         self._rooms: dict[str, Any] = {}
         self._entries: dict[int, _Entry] = {}
         self._chosen: int | None = None
@@ -113,9 +116,7 @@ class ObjectTree:
                 entry.button.color = colour
         chosen = None if self._chosen is None else self._entries[self._chosen].shown
         self._view.mark(chosen)
-        self._details.visible = chosen is not None
-        if chosen is not None:
-            self._details.content = _details_html(chosen)
+        self._details.content = _card_html(chosen, self._view.scene.length)
 
 
 def _place(one: ShownObject) -> str:
@@ -124,7 +125,11 @@ def _place(one: ShownObject) -> str:
     return f"{one.storey}, {room}" if one.storey else room
 
 
-def _details_html(chosen: ShownObject) -> str:
+def _card_html(chosen: ShownObject | None, length: str) -> str:
+    """Name, place, size and relations of the chosen object."""
+    if chosen is None:
+        return f'<div style="{_CARD_STYLE}">{_NOTHING}</div>'
+    about = f"{_place(chosen)}, {' x '.join(f'{edge:.2f}' for edge in chosen.size_m)} {length}"
     lines = "".join(f"<li>{escape(relation)}</li>" for relation in chosen.relations)
-    name = f"<b>{escape(chosen.name)}</b>"
-    return f'<div style="font-size:13px;padding:4px 8px">{name}<ul>{lines}</ul></div>'
+    text = f"<b>{escape(chosen.name)}</b><br>{escape(about)}<ul style='margin:0'>{lines}</ul>"
+    return f'<div style="{_CARD_STYLE}">{text}</div>'

@@ -108,6 +108,7 @@ def _header(scene: ViewerScene) -> dict[str, Any]:
                 "corners": one.corners_m.round(4).ravel().tolist(),
                 "relations": list(one.relations),
                 "storey": one.storey,
+                "path": list(one.path),
             }
             for one in scene.objects
         ],

@@ -200,6 +200,9 @@ class ShownObject:
             is set.
         relations: lines about its relations.
         storey: name of its storey, empty if there is only one.
+        path: names of its class, from the root of the class tree.
+        voxels_m: [V, 3] points of its surface, about one in each voxel of 5 cm; None if only its
+            box is known.
     """
 
     number: int
@@ -208,6 +211,18 @@ class ShownObject:
     corners_m: NDArray[np.float64]
     relations: tuple[str, ...] = ()
     storey: str = ""
+    path: tuple[str, ...] = ()
+    voxels_m: NDArray[np.float64] | None = None
+
+    @property
+    def edges_m(self) -> NDArray[np.float64]:
+        """The three edges [3, 3] of its box from the first corner, as rows."""
+        return self.corners_m[[1, 2, 4]] - self.corners_m[0]
+
+    @property
+    def size_m(self) -> NDArray[np.float64]:
+        """Lengths [3] of these edges."""
+        return np.linalg.norm(self.edges_m, axis=1)
 
 
 @dataclass(frozen=True)

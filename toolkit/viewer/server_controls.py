@@ -9,7 +9,7 @@ import numpy as np
 
 from toolkit.viewer.colouring import CLASSES, COLOUR, LegendRow, colour_modes, legend
 from toolkit.viewer.object_tree import ObjectTree
-from toolkit.viewer.picking import pick
+from toolkit.viewer.picking import object_at, pick
 from toolkit.viewer.scene import ShownKeyframe, ViewerScene
 from toolkit.viewer.server_scene import ServerScene
 
@@ -141,9 +141,15 @@ class Controls:
         return f"{', '.join(names[:3])}{more}: {members.sum():,} Gaussians"
 
     def _clicked(self, event: Any) -> None:
+        """Describe the Gaussian at a click, and choose its object; none if it has none."""
+        scene = self._scene  # may be replaced meanwhile, by the thread that follows a run
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
-        found = pick(self._scene.splats, origin, direction)
-        self._picked.content = _CLICK if found is None else describe(self._scene, found)
+        splat, number = pick(scene.splats, origin, direction), None
+        if splat is not None:
+            point_m, path = scene.splats.means_m[splat], scene.class_path(splat)
+            number = object_at(scene.objects, point_m, path)
+        self._picked.content = _CLICK if splat is None else describe(scene, splat)
+        self._objects.choose(number)
 
     def _show_keyframe(self, keyframe: ShownKeyframe, _client: Any) -> None:
         self._keyframe = keyframe

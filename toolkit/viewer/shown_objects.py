@@ -33,13 +33,20 @@ def shown_objects(scene: MappedScene) -> tuple[ShownObject, ...]:
         level = scene.storeys[number][0]
         storey = f"storey {level + 1}" if len(scene.building.spaces) > 1 else ""
         related = tuple(lines.get(number, ()))
-        one = ShownObject(number, names[number], name, corners, related, storey)
+        path = tuple(found.node.path)
+        one = ShownObject(number, names[number], name, corners, related, storey, path)
         rows.append((level, room, one))
     return _in_order(rows)
 
 
-def graph_objects(graph: Mapping[str, Any]) -> tuple[ShownObject, ...]:
+def graph_objects(
+    graph: Mapping[str, Any], voxels_m: Mapping[int, NDArray[np.float64]] | None = None
+) -> tuple[ShownObject, ...]:
     """Return the objects of a graph in node-link format, ordered as by `shown_objects`.
+
+    Args:
+        graph: the graph.
+        voxels_m: a point [V, 3] in each voxel of an object by its number, as far as it is known.
 
     Raises:
         KeyError, TypeError, ValueError: it is no scene graph.
@@ -60,7 +67,9 @@ def graph_objects(graph: Mapping[str, Any]) -> tuple[ShownObject, ...]:
         level = int(node["storey"])
         storey = f"storey {level}" if several else ""
         related = tuple(lines.get(number, ()))
-        one = ShownObject(number, names[number], room, corners, related, storey)
+        path = tuple(node["path"])
+        own_m = (voxels_m or {}).get(number)
+        one = ShownObject(number, names[number], room, corners, related, storey, path, own_m)
         rows.append((level, rooms[0] if rooms else len(graph["nodes"]) + 1, one))
     return _in_order(rows)
 

@@ -75,24 +75,36 @@ class Panel {
     }
   }
 
-  /** An entry of the tree, and its relations, which are shown while it is chosen. */
+  /** An entry of the tree, and its size and relations, which are shown while it is chosen. */
   objectEntry(number) {
-    const { name, relations } = this.scene.objects[number];
+    const { name, corners, relations } = this.scene.objects[number];
     const button = element("button", { type: "button", textContent: name, title: name });
     button.setAttribute("aria-pressed", false);
     const list = element("ul", { className: "soft", hidden: true });
-    list.append(...relations.map((textContent) => element("li", { textContent })));
-    button.onclick = () => this.chooseObject(this.chosenObject === number ? null : number);
+    const lines = [`${sizeText(corners)} ${this.scene.length}`, ...relations];
+    list.append(...lines.map((textContent) => element("li", { textContent })));
+    button.onclick = () => {
+      this.chooseObject(this.chosenObject === number ? null : number);
+      if (this.chosenObject === number) this.actions.lookAt(number);
+    };
     this.entries[number] = { button, list };
     return [button, list];
   }
 
+  /** Show the entry of an object and mark the object; null for none. */
   chooseObject(number) {
     this.chosenObject = number;
     this.entries.forEach(({ button, list }, other) => {
       button.setAttribute("aria-pressed", other === number);
-      list.hidden = other !== number || !list.children.length;
+      list.hidden = other !== number;
     });
+    if (number !== null) {
+      const { button, list } = this.entries[number];
+      for (let room = button.closest("details"); room; room = room.parentElement.closest("details")) {
+        room.open = true;
+      }
+      list.scrollIntoView({ block: "nearest" });
+    }
     this.actions.object(number);
   }
 
@@ -275,6 +287,12 @@ function branch(name, objects, open) {
   const details = element("details", { open });
   details.append(element("summary", { textContent: `${name} (${objects.length})` }));
   return details;
+}
+
+/** The lengths of the edges of a box. */
+function sizeText(corners) {
+  const corner = (number) => corners.slice(3 * number, 3 * number + 3);
+  return [1, 2, 4].map((number) => norm(sub(corner(number), corner(0))).toFixed(2)).join(" x ");
 }
 
 function element(name, properties = {}) {

@@ -1,6 +1,8 @@
 // What lies under a pixel.
 
 const FRUSTUM_PICK_PIXELS = 14;
+// A Gaussian belongs to an object at most this far from its box, in metres.
+const OBJECT_REACH_M = 0.1;
 
 /**
  * The Gaussian at a pixel of the canvas: the one at which the light has lost half of its strength,
@@ -31,6 +33,37 @@ function pickSplat(scene, camera, x, y) {
     if (light < 0.5) return i;
   }
   return null;
+}
+
+/**
+ * The number of the object of a Gaussian, or null: of those of its class or group, the one with the
+ * nearest box, and of several boxes around it the smallest one.
+ */
+function objectOf(scene, { classPath, position }) {
+  let best = null, nearest = OBJECT_REACH_M, smallest = Infinity;
+  if (!classPath.length) return null;
+  (scene.objects ?? []).forEach(({ corners, path }, number) => {
+    if (classPath.some((name, level) => path[level] !== name)) return;
+    const { distance, volume } = besideBox(corners, position);
+    if (distance > nearest || (distance === nearest && volume >= smallest)) return;
+    [best, nearest, smallest] = [number, distance, volume];
+  });
+  return best;
+}
+
+/** Distance of a point from a box, 0 inside, and the volume of the box. */
+function besideBox(corners, point) {
+  const origin = corners.slice(0, 3);
+  let closest = origin, volume = 1;
+  for (const corner of [1, 2, 4]) {
+    const edge = sub(corners.slice(3 * corner, 3 * corner + 3), origin);
+    const along = dot(edge, sub(point, origin)) / Math.max(dot(edge, edge), 1e-12);
+    closest = add(closest, scale(edge, clamp(along, 0, 1)));
+    volume *= norm(edge);
+  }
+  const distance = norm(sub(point, closest));
+  // 0 inside of a box is not exact.
+  return { distance: distance < 1e-6 ? 0 : distance, volume };
 }
 
 /** The keyframe whose camera lies near a pixel and nearest to the viewer, or null. */

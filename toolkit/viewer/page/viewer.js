@@ -40,20 +40,19 @@ class Viewer {
         this.navigation.flying = !this.navigation.flying;
         this.panel.setNavigation(this.navigation.flying);
       },
-      object: (number) => this.showObject(number),
+      object: (number) => { this.lines.chooseObject(number); this.redraw(true); },
+      lookAt: (number) => this.lookAtObject(number),
       viewFrom: (keyframe) => { this.camera.setPose(keyframe.pose); this.moved(); },
     };
   }
 
-  /** Mark an object of the scene graph and look at it; null for none. */
-  showObject(number) {
-    this.lines.chooseObject(number);
-    if (number === null) return this.redraw(true);
+  /** Look at an object of the scene graph. */
+  lookAtObject(number) {
     const { corners } = this.scene.objects[number];
     const [low, high] = [corners.slice(0, 3), corners.slice(21, 24)];
     const middle = scale(add(low, high), 0.5);
     this.camera.lookAt(middle, 1.2 * norm(sub(high, low)));
-    return this.moved();
+    this.moved();
   }
 
   get pixelRatio() { return this.scale * Math.min(devicePixelRatio || 1, 2); }
@@ -163,6 +162,7 @@ class Viewer {
     this.panel.showKeyframe(keyframe);
     const splat = keyframe ? null : pickSplat(this.scene, this.camera, ...pixel);
     const found = splat === null ? null : describeSplat(this.scene, splat);
+    if (!keyframe) this.panel.chooseObject(found && objectOf(this.scene, found));
     this.panel.showSplat(found);
     this.redraw(true);
     return keyframe ?? found;
