@@ -91,9 +91,9 @@ def _rows(data: bytes | list[bytes], dtype: np.dtype, count: int) -> NDArray:
     """
     if isinstance(data, bytes):
         return np.frombuffer(data, dtype, count)
-    rows = np.empty(count, dtype)
-    for column, name in enumerate(dtype.names or ()):
-        rows[name] = np.array(data[column :: len(dtype)]).astype(np.float64)
+    rows, names = np.empty(count, dtype), dtype.names or ()
+    for column, name in enumerate(names):
+        rows[name] = [float(word) for word in data[column :: len(names)]]
     return rows
 
 
