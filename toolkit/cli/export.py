@@ -36,8 +36,8 @@ def main(options: ExportOptions) -> int:
         0.
 
     Raises:
-        ToolkitError: there is no finished run or splat file, no Gaussian is selected, the map lacks what the
-            format needs, or the file cannot be written.
+        ToolkitError: there is no finished run or splat file, no Gaussian is selected, the map lacks
+            what the format needs, or the file cannot be written.
     """
     if is_splat_file(options.run):
         print(f"wrote {_converted(options)} to {options.to}")
