@@ -103,6 +103,14 @@ def test_rotations_of_any_length_are_normalised(tmp_path, length):
     np.testing.assert_allclose(rotations, [[0.5, 0.5, -0.5, 0.5]] * 2, atol=1e-6)
 
 
+def test_values_that_overflow_give_one_line_and_no_warning(tmp_path, recwarn):
+    path, row = tmp_path / "map.ply", ROW.copy()
+    row[NAMES.index("scale_1")] = 1000.0
+    path.write_bytes(ply("ascii", 2, NAMES, row))
+    assert_refused(path, "contains no splat with finite values")
+    assert not recwarn.list
+
+
 @pytest.mark.parametrize("suffix", [".SPZ", ".SOG", ".PLY", ".USDA", ".USDZ", ".GLB"])
 def test_suffixes_may_be_in_capitals(tmp_path, suffix):
     if suffix.startswith(".USD"):

@@ -101,8 +101,6 @@ def _beside(path: Path, name: str) -> bytes:
     return (path.parent / name).read_bytes()
 
 
-# Values that are not finite are left out by `read_splats`.
-@np.errstate(over="ignore", invalid="ignore")
 def _columns(path: Path, meta: dict[str, Any], read: Callable[[str], bytes]) -> Columns:
     is_old = "version" not in meta or meta["version"] == 1
     count = int(meta["means"]["shape"][0] if is_old else meta["count"])

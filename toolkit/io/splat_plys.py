@@ -54,8 +54,7 @@ def read_ply(path: Path) -> Columns:
         if set(properties) <= set(names)
     }
     if "scale" in columns:
-        with np.errstate(over="ignore"):
-            columns["scale"] = np.exp(columns["scale"])
+        columns["scale"] = np.exp(columns["scale"])
     harmonics = [name for name in names if name.startswith(_HARMONIC)]
     if harmonics:
         columns["f_rest"] = _harmonics(path, rows, harmonics)
@@ -68,9 +67,7 @@ def read_ply(path: Path) -> Columns:
 
 
 def _stacked(rows: NDArray, names: Sequence[str]) -> NDArray[np.float32]:
-    # Numbers of double precision that are too large are left out by `read_splats`.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack([rows[name].astype(np.float32) for name in names], axis=1)
+    return np.stack([rows[name].astype(np.float32) for name in names], axis=1)
 
 
 def _harmonics(path: Path, rows: NDArray, names: Sequence[str]) -> NDArray[np.float32]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.io.gltf import GLTF_SUFFIXES
@@ -31,8 +30,6 @@ def write_splat_scene(
     write(path, columns, extra, scene)
 
 
-# Values that are not finite are left out by `read_splats`.
-@np.errstate(over="ignore", invalid="ignore")
 def read_splat_scene(path: Path) -> Columns:
     """Read the splats of a glTF or USD file, with the axes of a map.
 
