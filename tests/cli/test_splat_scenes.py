@@ -87,3 +87,27 @@ def test_what_has_no_splats_is_refused_in_one_line(labelled_run, tmp_path, capsy
     for name, words in (("mesh.glb", "is not glTF"), ("map.gltf", "contains no splats")):
         error = one_line_of_error(capsys, "render", tmp_path / name, "--view", 0, 0, 0, 0, 0)
         assert str(tmp_path / name) in error and words in error
+
+
+def test_splat_files_are_converted_in_chains_without_loss_of_labels(labelled_run, tmp_path):
+    """A file of any tool, to any other format; what is not quantised stays as it is."""
+    before = read_splats(labelled_run / "map.ply")
+    source = labelled_run / "map.ply"
+    for name in ("a.splats.glb", "b.ply", "c.sog", "d.spz", "e.ply"):
+        target = tmp_path / name
+        assert main(["export", str(source), "--to", str(target)]) == 0
+        source = target
+    exact = read_splats(tmp_path / "b.ply")
+    np.testing.assert_array_equal(exact.means, before.means)
+    np.testing.assert_array_equal(exact.labels.levels, before.labels.levels)
+    last = read_splats(source)
+    assert last.pixel_filter == before.pixel_filter
+    assert np.bincount(last.labels.label).tolist() == np.bincount(before.labels.label).tolist()
+
+
+@pytest.mark.parametrize("words", [["--to", "a.las"], ["--to", "a.ply", "--keep", "table"]])
+def test_splat_files_are_converted_to_whole_splats_only(labelled_run, tmp_path, capsys, words):
+    option, name, *others = words
+    words = ["export", labelled_run / "map.ply", option, tmp_path / name, *others]
+    assert "can be written as whole splats only" in one_line_of_error(capsys, *words)
+    assert not list(tmp_path.iterdir())

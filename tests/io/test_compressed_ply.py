@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from toolkit.errors import FormatError
-from toolkit.io.compressed_ply import is_compressed_ply
-from toolkit.io.splats import read_splats, write_splat_ply
+from toolkit.io.splats import read_splats
 from toolkit.runs.folder import read_cloud
 
 _RANGES = [f"{end}_{name}" for end in ("min", "max") for name in "xyz"]
@@ -73,12 +72,6 @@ def test_values_are_those_that_were_written(file):
     harmonics[0, 0, 0], harmonics[1, 1, 1], harmonics[2, 2, 2] = 0.5, -0.25, 1.0
     np.testing.assert_allclose(splats.ellipsoids.harmonics[order], harmonics, atol=0.02)
     assert read_cloud(file).ellipsoids is not None
-
-
-def test_other_plys_are_not_compressed(file, tmp_path):
-    assert is_compressed_ply(file)
-    write_splat_ply(tmp_path / "plain.ply", read_cloud(file))
-    assert not is_compressed_ply(tmp_path / "plain.ply")
 
 
 @pytest.mark.parametrize("length", [len(HEADER) - 5, len(HEADER), len(HEADER) + 80, -1])

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from toolkit.cli.map_programs import ExportOptions
+from toolkit.errors import SettingsError
 from toolkit.exports.floors import export_occupancy_grid
 from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.plans import export_floor_plan
@@ -18,7 +19,7 @@ from toolkit.exports.surfaces import export_gltf, export_labelled_points, export
 from toolkit.exports.views import ViewExportOptions, export_colmap, export_nerfstudio
 from toolkit.io.meshes import write_mesh
 from toolkit.io.splat_scenes import SCENE_SUFFIXES
-from toolkit.io.splats import export_splats
+from toolkit.io.splats import export_splats, is_splat_file, read_splats
 from toolkit.io.trajectories import write_tum
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
 from toolkit.viewer.html import link_from_report, write_page
@@ -35,15 +36,31 @@ def main(options: ExportOptions) -> int:
         0.
 
     Raises:
-        ToolkitError: there is no finished run, no Gaussian is selected, the map lacks what the
-            format needs, or the file cannot be written.
+        ToolkitError: there is no finished run or splat file, no Gaussian is selected, the map lacks
+            what the format needs, or the file cannot be written.
     """
+    if is_splat_file(options.run):
+        print(f"wrote {_converted(options)} to {options.to}")
+        return 0
     selection = select(options.run, options.keep, options.drop)
     for note in selection.run.length_names.notes:
         _log.warning("%s: %s", options.to, note)
     content = _WRITERS[options.kind](options, selection)
     print(f"wrote {content} to {options.to}")
     return 0
+
+
+def _converted(options: ExportOptions) -> str:
+    """Write the splats of a file, of any tool, in another format."""
+    if options.kind != "splats" or options.keep or options.drop:
+        raise SettingsError(
+            f"{options.run} is a splat file, which can be written as whole splats only: give "
+            "--format splats without --keep and --drop, or a run folder"
+        )
+    splats = read_splats(options.run)
+    tree = splats.taxonomy
+    export_splats(options.to, splats, splats.extra, (), options.spz_version, tree)
+    return f"{len(splats)} Gaussians"
 
 
 def _splats(options: ExportOptions, selection: SelectedGaussians) -> str:

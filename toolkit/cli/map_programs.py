@@ -21,10 +21,11 @@ ColourValue = Annotated[int, Range(ge=0, le=255)]
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Export the map of a finished run for other programs."""
+    """Export the map of a finished run for other programs, or convert a file of splats."""
 
     run: Positional[Path]
-    """Run folder."""
+    """Run folder, or a splat file (.ply, .splat, .spz, .sog, .ksplat, glTF, USD), which is
+    converted to splats of another format."""
     to: Path
     """File to write, or folder (new or empty) of COLMAP and nerfstudio formats."""
     format: ExportFormat | None = None

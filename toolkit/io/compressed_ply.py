@@ -6,6 +6,7 @@ of scales and colours are fractions of the ranges of chunks of 256 splats; harmo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -30,58 +31,32 @@ _CHUNK = 256
 _ENDS = ("min", "max")
 # Comment of splats that were fitted with a filter of pixels that preserves opacity.
 MIP_COMMENT = "SplatRenderMode: mip"
-_TYPES = {"float": "<f4", "uint": "<u4", "uchar": "u1"}
 # Range of the harmonics.
 _HARMONIC_RANGE = 8.0
 # Bits of the parts of positions and scales, colours with opacities, and rotations.
 _XYZ_BITS, _COLOUR_BITS, _ROTATION_BITS = (11, 10, 11), (8, 8, 8, 8), (10, 10, 10)
 
 
-def is_compressed_ply(path: Path) -> bool:
-    """Whether the header of a PLY describes packed splats."""
-    with path.open("rb") as file:
-        return b"packed_position" in file.read(4096).partition(b"end_header")[0]
-
-
-def read_compressed_ply(path: Path) -> Columns:
+def unpacked_splats(path: Path, elements: Mapping[str, NDArray]) -> Columns:
     """Return positions, f_dc, f_rest, opacity (logit), scale (metres) and rot (wxyz).
 
+    Args:
+        path: the file, for messages.
+        elements: its elements, of which `vertex` has packed splats.
+
     Raises:
-        FormatError: the file is truncated, or its header is not that of the format.
+        FormatError: the elements are not those of the format.
     """
-    elements = _elements(path, path.read_bytes())
     try:
         return _unpacked(elements)
-    except (KeyError, ValueError, IndexError) as error:
+    except (KeyError, ValueError, IndexError, TypeError) as error:
         raise FormatError(
             f"{path}: the compressed splats cannot be read ({error!r}); write it again, or as an "
             "uncompressed .ply"
         ) from error
 
 
-def _elements(path: Path, content: bytes) -> dict[str, NDArray]:
-    """The rows of each element by its name."""
-    header, end, body = content.partition(b"end_header\n")
-    layouts: dict[str, tuple[int, list[tuple[str, str]]]] = {}
-    name = ""
-    for line in header.decode("latin-1").splitlines():
-        words = line.split()
-        if words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
-            name = words[1]
-            layouts[name] = int(words[2]), []
-        elif words[:1] == ["property"] and len(words) == 3 and name and words[1] in _TYPES:
-            layouts[name][1].append((words[2], _TYPES[words[1]]))
-    elements, place = {}, 0
-    for name, (count, fields) in layouts.items():
-        dtype = np.dtype(fields)
-        if not end or len(body) < place + count * dtype.itemsize:
-            raise FormatError(f"{path} is truncated: its {name}s are incomplete; write it again")
-        elements[name] = np.frombuffer(body, dtype, count, place)
-        place += count * dtype.itemsize
-    return elements
-
-
-def _unpacked(elements: dict[str, NDArray]) -> Columns:
+def _unpacked(elements: Mapping[str, NDArray]) -> Columns:
     chunks, rows = elements["chunk"], elements["vertex"]
     count = len(rows)
     if len(chunks) != -(-count // _CHUNK):

@@ -11,7 +11,7 @@ import json
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
 
@@ -27,8 +27,6 @@ _HEADER = 12
 _MAX_BYTES = 2**32
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-# Deeper trees of nodes are cycles.
-_MAX_DEPTH = 200
 
 
 @dataclass(frozen=True)
@@ -85,12 +83,15 @@ class GltfDocument:
         """A buffer that is embedded in the JSON, or lies beside the file."""
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2], validate=True)
-        if ":" in uri or uri.startswith("/"):
+        name = PurePosixPath(unquote(uri))
+        if ":" in uri or name.is_absolute() or ".." in name.parts:
             raise FormatError(f"{self.path}: buffer {uri!r} does not lie beside the file; copy it")
-        file = self.path.parent / unquote(uri)
-        if not file.is_file():
-            raise FormatError(f"{self.path} needs the file {file}; copy it there")
-        return file.read_bytes()
+        try:
+            return (self.path.parent / name).read_bytes()
+        except OSError as error:
+            raise FormatError(
+                f"{self.path} needs the file {uri!r} beside it ({error.strerror}); copy it there"
+            ) from error
 
     def mesh_nodes(self) -> Iterator[tuple[NDArray[np.float64], tuple[dict[str, Any], ...]]]:
         """Yield the nodes of the scene that have a mesh.
@@ -102,10 +103,12 @@ class GltfDocument:
         waiting: list[tuple[NDArray[np.float64], tuple[dict[str, Any], ...]]] = [
             (np.eye(4), (entry(nodes, root),)) for root in reversed(self._roots())
         ]
+        left = len(nodes)
         while waiting:
             T_scene_parent, path = waiting.pop()
-            if len(path) > _MAX_DEPTH:
-                raise ValueError("nodes are their own children")
+            left -= 1
+            if left < 0:
+                raise ValueError("a node has several parents")
             T_scene_node = T_scene_parent @ _local(path[-1])
             if "mesh" in path[-1]:
                 yield T_scene_node, path

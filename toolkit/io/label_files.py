@@ -18,6 +18,7 @@ import io
 import json
 import logging
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,11 @@ from toolkit.io.splat_labels import INSTANCE, SplatLabels, instances_in
 _log = logging.getLogger(__name__)
 
 _VOID = "void"
+# What a damaged file raises.
+_DAMAGED = (
+    *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError),
+    *(RuntimeError, MemoryError, OverflowError, SyntaxError, zipfile.BadZipFile, zlib.error),
+)
 _LABELS = ("label", "levels", "confidence")
 
 
@@ -102,11 +108,12 @@ def read_label_file(splat_file: Path, count: int) -> LabelFile | None:
     if not path.is_file():
         return None
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        # Arrays that cannot be loaded leave the files open that they opened.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             columns = _columns(arrays)
             taxonomy = json.loads(str(arrays["taxonomy"])) if "taxonomy" in arrays else None
             digest = str(arrays["splats_sha256"])
-    except (OSError, EOFError, ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
+    except _DAMAGED as error:
         _log.warning("%s cannot be read and is ignored (%s); export the map again.", path, error)
         return None
     rows = len(next(iter(columns.values())))

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +23,8 @@ def read_with_open3d(path: Path) -> Columns:
         FormatError: Open3D cannot read it.
     """
     try:
-        point = open3d().t.io.read_point_cloud(str(path)).point
+        with _silent():
+            point = open3d().t.io.read_point_cloud(str(path)).point
         # Every array is copied: if one of Open3D's own still exists at the end of the process,
         # Open3D prints statistics of its memory and changes the exit status to 1.
         return {name: point[name].numpy().copy() for name in point}
@@ -39,9 +44,30 @@ def write_with_open3d(path: Path, columns: Columns) -> None:
     cloud = o3d.t.geometry.PointCloud()
     for name, values in columns.items():
         cloud.point[name] = o3d.core.Tensor(np.ascontiguousarray(values))
-    with replacing(path) as temporary:
+    with replacing(path) as temporary, _silent():
         if not o3d.t.io.write_point_cloud(str(temporary), cloud):
             raise RunFolderError(f"cannot write {path}: free space there, or allow writing")
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Discard what the libraries in Open3D print to stdout and stderr of the process."""
+    kept = {}
+    for number, stream in ((1, sys.stdout), (2, sys.stderr)):
+        # Services may have closed theirs.
+        with suppress(OSError, AttributeError):
+            stream.flush()
+            kept[number] = os.dup(number)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for number in kept:
+            os.dup2(nowhere, number)
+        yield
+    finally:
+        os.close(nowhere)
+        for number, copy in kept.items():
+            os.dup2(copy, number)
+            os.close(copy)
 
 
 def _first_line(error: Exception) -> str:

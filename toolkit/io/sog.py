@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import json
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError
 from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.smallest_three import join_largest
-from toolkit.io.splat_columns import Columns, logits
+from toolkit.io.splat_columns import Columns, check_count, logits
 
 META = "meta.json"
 # The last byte of a rotation is this plus the index of the largest of w, x, y, z.
@@ -32,6 +33,10 @@ PALETTE_COLUMNS = 64
 # Value of the key `model` if splats were fitted with a filter of pixels, as in Mip-Splatting.
 FILTERED_MODEL = "antialiased"
 _CODEBOOK = 256
+# Images may be larger than their splats need, and that of the palette has up to a million pixels.
+_PIXELS, _PIXELS_PER_SPLAT = 2**22, 4
+# Members of a bundle above this size are unpacked to at most this factor: images are compressed.
+_UNPACKED_BYTES, _EXPANSION = 2**24, 20
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -49,9 +54,9 @@ def read_sog(path: Path) -> Columns:
     """
     try:
         if path.suffix.lower() == ".json":
-            return _columns(_json(path.read_bytes()), lambda name: _beside(path, name))
+            return _columns(path, _json(path.read_bytes()), lambda name: _beside(path, name))
         with zipfile.ZipFile(path) as bundle:
-            return _columns(_json(bundle.read(META)), lambda name: _member(bundle, name))
+            return _columns(path, _json(_member(bundle, META)), lambda name: _member(bundle, name))
     except (_DamagedError, zipfile.BadZipFile, zlib.error, RuntimeError) as error:
         raise _cannot_read(path, str(error)) from error
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -83,7 +88,10 @@ def _json(content: bytes) -> dict[str, Any]:
 
 def _member(bundle: zipfile.ZipFile, name: str) -> bytes:
     if name not in bundle.namelist():
-        raise _DamagedError(f"the image {name!r} is missing")
+        raise _DamagedError(f"{name!r} is missing")
+    member = bundle.getinfo(name)
+    if member.file_size > max(_UNPACKED_BYTES, _EXPANSION * member.compress_size):
+        raise _DamagedError(f"{name!r} would be unpacked to {member.file_size} bytes")
     return bundle.read(name)
 
 
@@ -93,15 +101,18 @@ def _beside(path: Path, name: str) -> bytes:
     return (path.parent / name).read_bytes()
 
 
-def _columns(meta: dict[str, Any], read: Callable[[str], bytes]) -> Columns:
+def _columns(path: Path, meta: dict[str, Any], read: Callable[[str], bytes]) -> Columns:
     is_old = "version" not in meta or meta["version"] == 1
     count = int(meta["means"]["shape"][0] if is_old else meta["count"])
-    if count < 1:
-        raise _DamagedError(f"it announces {count} splats")
+    # Positions can be compressed least.
+    check_count(path, count, len(read(meta["means"]["files"][0])))
+
+    def image(part: str, index: int = 0) -> Image:
+        name = meta[part]["files"][index]
+        return _decoded(name, read(name), _PIXELS + _PIXELS_PER_SPLAT * count)
 
     def pixels(part: str, index: int = 0) -> Image:
-        name = meta[part]["files"][index]
-        rows = _decoded(name, read(name)).reshape(-1, 4)
+        rows, name = image(part, index).reshape(-1, 4), meta[part]["files"][index]
         if len(rows) < count:
             raise _DamagedError(f"{name} has {len(rows)} pixels for {count} splats")
         return rows[:count]
@@ -126,18 +137,22 @@ def _columns(meta: dict[str, Any], read: Callable[[str], bytes]) -> Columns:
     }
     if "shN" in meta:
         labels = pixels("shN", 1).astype(np.int64)
-        palette = _decoded(meta["shN"]["files"][0], read(meta["shN"]["files"][0]))
-        columns["f_rest"] = _harmonics(meta["shN"], palette)[labels[:, 0] + 256 * labels[:, 1]]
+        columns["f_rest"] = _harmonics(meta["shN"], image("shN"))[labels[:, 0] + 256 * labels[:, 1]]
     return {name: np.ascontiguousarray(c, np.float32) for name, c in columns.items()}
 
 
-def _decoded(name: str, content: bytes) -> Image:
+def _decoded(name: str, content: bytes, max_pixels: int) -> Image:
     """The pixels [H, W, 4] of an image."""
     from PIL import Image as Images
 
     try:
-        with Images.open(io.BytesIO(content), formats=["WEBP", "PNG"]) as image:
-            return np.asarray(image.convert("RGBA"))
+        with warnings.catch_warnings():
+            # The limit is checked here.
+            warnings.simplefilter("ignore", Images.DecompressionBombWarning)
+            image = Images.open(io.BytesIO(content), formats=["WEBP", "PNG"])
+        if image.width * image.height > max_pixels:
+            raise _DamagedError(f"{name} has {image.width}x{image.height} pixels")
+        return np.asarray(image.convert("RGBA"))
     except (OSError, ValueError, SyntaxError, Images.DecompressionBombError) as error:
         raise _DamagedError(f"{name} is not a whole WebP or PNG image") from error
 

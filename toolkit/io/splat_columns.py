@@ -35,6 +35,8 @@ _SMALLEST_OPACITY = 2.0**-24
 _MAX_LOGIT = 40.0
 # Shorter axes of splats are read as this, in metres.
 _SMALLEST_M = 1e-9
+# Files of that many splats do not need much memory.
+_UNCHECKED_COUNT = 2**20
 # Splats with a larger ratio of the longest to the shortest axis are not isotropic.
 _ISOTROPY = 1.01
 
@@ -129,17 +131,35 @@ def check_finite(path: Path, columns: Columns) -> None:
         )
 
 
+def check_count(path: Path, count: int, size: int) -> None:
+    """Check that a compressed file may contain as many splats as it announces.
+
+    Args:
+        path: the file.
+        count: the number of splats that it announces.
+        size: the number of its bytes.
+
+    Raises:
+        FormatError: there are none, or so many that a splat has less than a byte. Such a file would
+            take a multiple of its size in memory; those of real maps have at least 10.
+    """
+    if not 1 <= count <= max(size, _UNCHECKED_COUNT):
+        raise FormatError(
+            f"{path} is damaged: it announces {count} splats in {size} bytes; write it again"
+        )
+
+
 def checked(path: Path, columns: Columns) -> Columns:
     """The columns of a file without the splats whose values are not numbers.
 
     Raises:
         FormatError: a column is missing, or nothing is left.
     """
-    for name in ("positions", "f_dc", "opacity", "scale"):
-        if name not in columns or len(columns[name]) == 0:
-            raise FormatError(
-                f"{path} is not a splat file, or is truncated: it has no {name}; write it again"
-            )
+    for name in ("positions", "f_dc", "opacity", "scale", "rot"):
+        if name not in columns:
+            raise FormatError(f"{path} is not a splat file: it has no {name}; write it again")
+    if len(columns["positions"]) == 0:
+        raise FormatError(f"{path} contains no splats; write it again")
     # An axis of length 0 is that of a disc; an infinite logit is an opacity of 0 or 1.
     columns = columns | {"scale": np.maximum(columns["scale"], _SMALLEST_M)}
     good = ~np.isnan(columns["opacity"][:, 0])
@@ -161,8 +181,6 @@ def shapes_of(path: Path, columns: Mapping[str, NDArray]) -> SplatShapes | None:
     Raises:
         FormatError: the number of harmonics is not that of a degree.
     """
-    if "rot" not in columns:
-        return None
     count, log_scales = len(columns["scale"]), np.log(columns["scale"])
     harmonics = columns.get("f_rest", np.zeros((count, 0, 3)))
     if harmonics.shape[1] not in HARMONIC_COUNTS:
@@ -172,9 +190,12 @@ def shapes_of(path: Path, columns: Mapping[str, NDArray]) -> SplatShapes | None:
         )
     if not harmonics.any() and (np.ptp(log_scales, axis=1) <= np.log(_ISOTROPY)).all():
         return None
-    rotations = columns["rot"].astype(np.float32)
-    rotations[~(np.linalg.norm(rotations, axis=1) > 0)] = (1, 0, 0, 0)
-    return SplatShapes(log_scales.astype(np.float32), rotations, harmonics.astype(np.float32))
+    # In double precision, no square overflows or becomes 0.
+    rotations = columns["rot"].astype(np.float64)
+    lengths = np.linalg.norm(rotations, axis=1, keepdims=True)
+    rotations = np.where(lengths > 0, rotations / np.maximum(lengths, 1e-60), (1.0, 0, 0, 0))
+    values = (log_scales, rotations, harmonics)
+    return SplatShapes(*(value.astype(np.float32) for value in values))
 
 
 def _array(values: Any) -> NDArray[np.float32]:

@@ -14,37 +14,72 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
+from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.atomic import write_bytes
-from toolkit.io.compressed_ply import MIP_COMMENT, is_compressed_ply, read_compressed_ply
-from toolkit.io.open3d_splats import read_with_open3d, write_with_open3d
-from toolkit.io.splat_columns import Columns
+from toolkit.io.compressed_ply import MIP_COMMENT, unpacked_splats
+from toolkit.io.open3d_splats import write_with_open3d
+from toolkit.io.ply_elements import read_elements
+from toolkit.io.splat_columns import OWN_COLUMNS, Columns
 
 # Comment in the header; see `Splats.pixel_filter`.
 FILTER_COMMENT = "pixel_filter 0.1 compensated"
 _MAX_HEADER = 8192
 
-_BYTES = {
-    name: size
-    for size, names in {
-        1: "char uchar int8 uint8",
-        2: "short ushort int16 uint16",
-        4: "int uint float int32 uint32 float32",
-        8: "double float64",
-    }.items()
-    for name in names.split()
+# The columns of several properties; all others are columns of their own.
+_JOINED = {
+    "positions": ("x", "y", "z"),
+    "f_dc": ("f_dc_0", "f_dc_1", "f_dc_2"),
+    "opacity": ("opacity",),
+    "scale": ("scale_0", "scale_1", "scale_2"),
+    "rot": ("rot_0", "rot_1", "rot_2", "rot_3"),
+    "normals": ("nx", "ny", "nz"),
 }
+_HARMONIC = "f_rest_"
 
 
 def read_ply(path: Path) -> Columns:
     """Read a splat PLY, which may be compressed as SuperSplat writes it.
 
     Raises:
-        FormatError: it is not a PLY, or is truncated.
+        FormatError: it is not a PLY, is truncated, or a column is missing.
     """
-    if is_compressed_ply(path):
-        return read_compressed_ply(path)
-    _check_length(path)
-    return read_with_open3d(path)
+    elements = read_elements(path)
+    rows = elements.get("vertex", np.empty(0))
+    names = rows.dtype.names or ()
+    if "packed_position" in names:
+        return unpacked_splats(path, elements)
+    columns = {
+        column: _stacked(rows, properties)
+        for column, properties in _JOINED.items()
+        if set(properties) <= set(names)
+    }
+    if "scale" in columns:
+        columns["scale"] = np.exp(columns["scale"])
+    harmonics = [name for name in names if name.startswith(_HARMONIC)]
+    if harmonics:
+        columns["f_rest"] = _harmonics(path, rows, harmonics)
+    used = {name for properties in _JOINED.values() for name in properties}
+    for name in names:
+        if name not in {*used, *harmonics, *OWN_COLUMNS}:
+            column = rows[name].astype(rows[name].dtype.newbyteorder("="))
+            columns[name] = column[:, None]
+    return columns
+
+
+def _stacked(rows: NDArray, names: Sequence[str]) -> NDArray[np.float32]:
+    return np.stack([rows[name].astype(np.float32) for name in names], axis=1)
+
+
+def _harmonics(path: Path, rows: NDArray, names: Sequence[str]) -> NDArray[np.float32]:
+    """The harmonics [N, K, 3] of columns for red, then green, then blue."""
+    expected = [3 * count for count in HARMONIC_COUNTS[1:]]
+    if len(names) not in expected or set(names) != {f"{_HARMONIC}{k}" for k in range(len(names))}:
+        raise FormatError(
+            f"{path} has {len(names)} columns {_HARMONIC}N, instead of 0, "
+            f"{', '.join(map(str, expected[:-1]))} or {expected[-1]}; write it again"
+        )
+    values = _stacked(rows, [f"{_HARMONIC}{k}" for k in range(len(names))])
+    return values.reshape(len(rows), 3, -1).transpose(0, 2, 1)
 
 
 def write_ply(
@@ -76,28 +111,3 @@ def is_filtered_ply(path: Path) -> bool:
     with path.open("rb") as file:
         header = file.read(_MAX_HEADER).partition(b"end_header")[0]
     return any(comment.encode() in header for comment in (FILTER_COMMENT, MIP_COMMENT))
-
-
-def _check_length(path: Path) -> None:
-    """Check that a binary PLY has the length given by its header, which Open3D does not check.
-
-    Raises:
-        FormatError: the file is shorter.
-    """
-    content = path.read_bytes()
-    if not content.startswith(b"ply"):
-        raise FormatError(f"{path} is not a PLY file; write it again")
-    header, end, body = content.partition(b"end_header\n")
-    words = [line.split() for line in header.decode("latin-1").splitlines()]
-    if not end or ["format", "binary_little_endian", "1.0"] not in words:
-        return
-    expected, count = 0, 0
-    for line in words:
-        if line[:1] == ["element"] and len(line) == 3 and line[2].isdecimal():
-            count = int(line[2])
-        elif line[:1] == ["property"] and len(line) == 3 and line[1] in _BYTES:
-            expected += count * _BYTES[line[1]]
-    if len(body) < expected:
-        raise FormatError(
-            f"{path} is truncated: {len(body)} of {expected} bytes of data; write it again"
-        )

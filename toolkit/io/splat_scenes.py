@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.io.gltf import GLTF_SUFFIXES
@@ -27,12 +26,10 @@ def write_splat_scene(
         DependencyError: usd-core is missing.
         RunFolderError: the file cannot be written.
     """
-    write = write_usd_splats if path.suffix in USD_SUFFIXES else write_gltf_splats
+    write = write_usd_splats if _is_usd(path) else write_gltf_splats
     write(path, columns, extra, scene)
 
 
-# Values that are not finite are left out by `read_splats`.
-@np.errstate(over="ignore", invalid="ignore")
 def read_splat_scene(path: Path) -> Columns:
     """Read the splats of a glTF or USD file, with the axes of a map.
 
@@ -40,7 +37,7 @@ def read_splat_scene(path: Path) -> Columns:
         DependencyError: usd-core is missing.
         FormatError: there are no splats, or the file is damaged.
     """
-    return read_usd_splats(path) if path.suffix in USD_SUFFIXES else read_gltf_splats(path)
+    return read_usd_splats(path) if _is_usd(path) else read_gltf_splats(path)
 
 
 def is_filtered_scene(path: Path) -> bool:
@@ -50,4 +47,8 @@ def is_filtered_scene(path: Path) -> bool:
 
 def _comments(path: Path) -> list[str]:
     """Return the comments of a file of `write_splat_scene`; none for files of other programs."""
-    return read_usd_comments(path) if path.suffix in USD_SUFFIXES else read_gltf_comments(path)
+    return read_usd_comments(path) if _is_usd(path) else read_gltf_comments(path)
+
+
+def _is_usd(path: Path) -> bool:
+    return path.suffix.lower() in USD_SUFFIXES

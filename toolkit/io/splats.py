@@ -245,7 +245,9 @@ def read_splats(path: PathLike) -> Splats:
     read = _reader(path)
     if read is None:
         raise FormatError(f"{path} must end in one of {', '.join(SUFFIXES)}")
-    columns = read(path)
+    # Values that are not finite are left out below.
+    with np.errstate(over="ignore", invalid="ignore"):
+        columns = read(path)
     beside = read_label_file(path, len(columns.get("positions", ())))
     if beside is not None:
         columns |= {name: column[:, None] for name, column in beside.columns.items()}

@@ -25,6 +25,7 @@ from toolkit.io.open3d_splats import read_with_open3d, write_with_open3d
 from toolkit.io.smallest_three import split_largest
 from toolkit.io.splat_columns import (
     Columns,
+    check_count,
     harmonics_of,
     opacities_of,
     with_reversed_axes,
@@ -38,6 +39,10 @@ _HEAD, _UNPACKED_HEAD = struct.Struct("<4sIIBBBB"), struct.Struct("<4sIIBBBBI12x
 # Flags: fitted with a filter of pixels that preserves opacity, as in Mip-Splatting; extensions.
 _IS_FILTERED, _HAS_EXTENSIONS = 1, 2
 _FLAGS_PLACE = 14
+# Maximum size of extensions behind the splats.
+_EXTENSION_BYTES = 2**24
+# Code of zlib for the largest window and the head of gzip.
+_GZIP_WINDOW = 31
 # Bits behind the point of a position: 1/4096 m, and up to 2 km.
 _FRACTION_BITS = 12
 _COLOUR_SCALE = 0.15
@@ -64,8 +69,9 @@ def read_spz(path: Path) -> Columns:
     else:
         raise FormatError(f"{path} is not a .spz file; write it again")
     columns = read_with_open3d(path)
-    if "rot" not in columns:
-        return columns
+    # Open3D returns an empty cloud instead of an error.
+    if not columns:
+        raise FormatError(f"{path} is damaged; write it again")
     return with_reversed_axes(columns)
 
 
@@ -158,22 +164,26 @@ def _byte(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def _check_packed(path: Path, content: bytes) -> None:
-    """Check a file of the versions 1 to 3."""
+    """Check a file of the versions 1 to 3, without unpacking more than it announces."""
+    stream = zlib.decompressobj(_GZIP_WINDOW)
     try:
-        stream = gzip.decompress(content)
-    except (OSError, EOFError, zlib.error) as error:
+        head = stream.decompress(content, _HEAD.size)
+        if len(head) < _HEAD.size or not head.startswith(_MAGIC):
+            raise FormatError(f"{path} is truncated, or not a .spz file; write it again")
+        _, version, count, degree, _, flags, _ = _HEAD.unpack(head)
+        _check_version(path, version, range(1, _FIRST_UNPACKED))
+        check_count(path, count, len(content))
+        expected = count * _row_bytes(path, version, degree)
+        longest = expected + (_EXTENSION_BYTES if flags & _HAS_EXTENSIONS else 0)
+        found = len(stream.decompress(stream.unconsumed_tail, longest + 1))
+    except zlib.error as error:
         raise _truncated(path) from error
-    if len(stream) < _HEAD.size or not stream.startswith(_MAGIC):
-        raise FormatError(f"{path} is not a .spz file; write it again")
-    _, version, count, degree, _, flags, _ = _HEAD.unpack_from(stream)
-    _check_version(path, version, range(1, _FIRST_UNPACKED))
-    row = _row_bytes(path, version, degree)
-    expected = _HEAD.size + count * row
-    if len(stream) < expected or (len(stream) > expected and not flags & _HAS_EXTENSIONS):
+    if found > longest:
         raise FormatError(
-            f"{path} has {len(stream)} bytes instead of the {expected} of {count} splats; write it "
-            "again"
+            f"{path} contains more than the {expected} bytes of {count} splats; write it again"
         )
+    if found < expected or not stream.eof:
+        raise _truncated(path)
 
 
 def _check_unpacked(path: Path, content: bytes) -> None:
@@ -193,6 +203,7 @@ def _check_unpacked(path: Path, content: bytes) -> None:
     sizes = np.frombuffer(content, "<u8", 2 * streams, place).reshape(-1, 2).tolist()
     if len(content) < place + 16 * streams + sum(packed for packed, _ in sizes):
         raise _truncated(path)
+    check_count(path, count, len(content))
     expected = count * _row_bytes(path, version, degree)
     if sum(unpacked for _, unpacked in sizes) != expected:
         raise FormatError(

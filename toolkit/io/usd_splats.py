@@ -11,6 +11,7 @@ import logging
 import os
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,6 +46,8 @@ _OWN = "semsplat"
 _EXTENT = 3.0
 # The date of the layer in a .usdz, so that the same map gives the same file: 2 January 1980.
 _PACKAGE_DATE = 315_619_200
+# What a damaged package raises.
+_BAD_PACKAGE = (zipfile.BadZipFile, zlib.error, RuntimeError, OSError, EOFError)
 # From z up to y up.
 _Y_FROM_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
@@ -170,7 +173,7 @@ def read_usd_splats(path: Path) -> Columns:
                     T_stage_prim = np.array(transformations.GetLocalToWorldTransform(prim)).T
                     columns = _prim_columns(pxr, path, prim)
                     parts.append(placed(path, columns, T_map_stage @ T_stage_prim))
-        except (pxr.Tf.ErrorException, ValueError, TypeError) as error:
+        except (pxr.Tf.ErrorException, ValueError, TypeError, *_BAD_PACKAGE) as error:
             raise FormatError(f"{path} is no USD file, or is damaged; write it again") from error
     if not parts:
         raise FormatError(f"{path} contains no splats ({_TYPE}); export them with semsplat export")
@@ -185,9 +188,11 @@ def read_usd_comments(path: Path) -> list[str]:
 
 
 def _stage(pxr: Any, path: Path) -> Any:
-    # USD opens a package without the directory at its end, which is truncated.
-    if path.suffix == ".usdz" and not zipfile.is_zipfile(path):
-        raise ValueError("no directory of the package")
+    # USD opens truncated packages, and crashes while it reads damaged ones.
+    if path.suffix.lower() == ".usdz":
+        with zipfile.ZipFile(path) as package:
+            if package.testzip() is not None:
+                raise ValueError("a file of the package is damaged")
     return pxr.Usd.Stage.Open(str(path))
 
 

@@ -69,8 +69,8 @@ class RunSettings:
     """Frames that arrive per second. Mapping uses the time that remains; if it is too short, frames
     are dropped. Results are not reproducible. 0 processes all frames completely."""
     map: Path | None = None
-    """Map to localise in and extend: folder of a finished run, or splat file of another tool (.ply,
-    .splat or .spz), whose scale is determined. By default, a new map is started."""
+    """Map to localise in and extend: folder of a finished run, or splat file of another tool (as
+    for semsplat view), whose scale is determined. By default, a new map is started."""
     # Not "auto": the GPU path has not been validated on a GPU, so it must be requested.
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     """Device for tracking and mapping. CUDA is experimental."""

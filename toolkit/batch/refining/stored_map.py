@@ -94,7 +94,10 @@ def open_stored_map(place: str) -> tuple[StoredMap, dict[str, Any]]:
             parts.
     """
     if "config.yaml" not in storage.names_in(place):
-        raise RunFolderError(f"{place} contains no run: config.yaml is missing")
+        raise RunFolderError(
+            f"{place} contains no run: config.yaml is missing; give the folder of a run, which for "
+            "a splat file is that of semsplat run --map"
+        )
     if not {"map.ply", "frames.json", "trajectory.txt"} <= set(storage.names_in(place)):
         raise RunFolderError(
             f"{place} has no map: the run is not finished; repeat its semsplat run command with "
