@@ -54,7 +54,7 @@ class OccupancyGrid:
     def contains(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which points [N, 3] of the map are above or below a cell of the grid."""
         places = self._rows_columns(points_m)
-        return ((places >= 0) & (places < self.cells.shape)).all(axis=1)
+        return np.asarray(((places >= 0) & (places < self.cells.shape)).all(axis=1))
 
     def _rows_columns(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         places = points_m @ self.T_grid_map[:2, :3].T + self.T_grid_map[:2, 3]
