@@ -175,6 +175,7 @@ def test_wrong_comparisons_of_objects_are_reported_in_one_line(two_rooms, tmp_pa
     ):
         page = str(tmp_path / "p.html")
         assert said in one_line_of_error(capsys, "compare", *two_rooms, "--out", page, *words)
+        assert not Path(page).exists(), "the page was written before the error"
     assert not Path(out).exists()
     three = [two_rooms[0], *two_rooms]
     line = one_line_of_error(capsys, "compare", *three, "--objects", out, "--same-frame")

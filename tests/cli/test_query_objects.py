@@ -90,6 +90,12 @@ def test_exact_names_are_answered_first(room, clip, capsys):
     assert 0 < printed.index("2 object(s)") < printed.index("most similar")
 
 
+def test_classes_whose_gaussians_form_no_object_say_how_to_find_some(room, capsys):
+    assert main(["query", str(room), "chair", "--min-gaussians", "100000"]) == 0
+    printed = capsys.readouterr().out
+    assert "0 object(s)" in printed and "try a smaller --min-gaussians" in printed
+
+
 def test_vectors_and_images_rank_the_objects(room, clip, tmp_path, capsys):
     np.save(tmp_path / "second.npy", read_objects(room / "objects.npz").embeddings[1:2])
     (found,) = ranked(capsys, room, "--embedding", tmp_path / "second.npy")

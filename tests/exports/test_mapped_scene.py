@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from layout_run import T_MAP_WORLD, changed, layout_run, make_run
 
+from toolkit.errors import SettingsError
 from toolkit.exports.map_changes import changes_between
 from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions
@@ -99,3 +101,7 @@ def test_a_moved_and_a_removed_object_are_found(tmp_path):
     moved = next(c for c in found.changes if c.kind == "moved")
     assert moved.values()["distance_m"] == pytest.approx(np.hypot(1.5, 0.6), abs=0.05)
     assert not changes_between(before, before, np.eye(4)).changes
+    selection = before.selection
+    unscaled = replace(selection, run=replace(selection.run, metric=False))
+    with pytest.raises(SettingsError, match=r"run before .*arbitrary units.*--scale"):
+        changes_between(replace(before, selection=unscaled), after, np.eye(4))

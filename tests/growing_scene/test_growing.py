@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ from one_submap import OneSubmap, grown, labelled_keyframe
 from toolkit.geometry import se3
 from toolkit.growing_scene.growing import GrowingScene
 from toolkit.growing_scene.objects import Fragment
+from toolkit.instances.masks import InstanceMasks
+from toolkit.instances.options import InstanceOptions
+from toolkit.instances.tracking import InstanceTracker
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -96,6 +100,24 @@ def test_corrections_of_loops_move_the_graph(keyframes):
     centre = np.array(nodes_of(before, "table")[0]["box"]["centre_m"])
     moved = np.array(nodes_of(after, "table")[0]["box"]["centre_m"])
     np.testing.assert_allclose(moved, se3.transform_points(atlas.pose, centre[None])[0], atol=0.02)
+
+
+class Foreign:
+    """Masks of one class each, with names that the taxonomy lacks."""
+
+    def masks(self, keyframe: Keyframe) -> InstanceMasks:
+        masks = InstanceMasks.of_ids(keyframe.class_ids.numpy())
+        return replace(masks, classes=["couch"] * len(masks))
+
+
+def test_masks_of_unknown_classes_have_the_class_of_the_labels(keyframes):
+    tracker, atlas = InstanceTracker(InstanceOptions(), Foreign(), NAMES), OneSubmap()
+    scene = GrowingScene(TAXONOMY, tracker)
+    for keyframe in keyframes:
+        tracker.update(0, [keyframe])
+        grown([keyframe], scene, atlas)
+    assert {one.class_name for one in tracker.objects.values()} == {"couch"}
+    assert {"floor", "table", "cabinet"} <= {n["name"] for n in scene.content()["nodes"]}
 
 
 def test_without_a_floor_there_is_no_graph():

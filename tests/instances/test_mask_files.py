@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 
 import numpy as np
@@ -67,6 +68,9 @@ def test_a_frame_without_an_image_has_no_masks(folder):
         ({"ids": np.array([1]), "scores": np.array([1.5])}, "scores must lie in 0 to 1"),
         ({"ids": np.array([1]), "embeddings": np.array([[np.nan]])}, "not finite"),
         ({"ids": np.array([1]), "embeddings": np.ones(3)}, "embeddings has shape"),
+        ({"ids": np.array([1]), "embeddings": np.array([[1e300, 1.0]])}, "not finite"),
+        ({"ids": np.array([1]), "embeddings": np.array([[1j]])}, "must be numbers"),
+        ({"ids": np.array([1]), "classes": np.array([b"a"])}, "classes must be texts"),
     ],
 )
 def test_bad_details_are_refused_with_their_file(folder, columns, message):
@@ -87,7 +91,18 @@ def test_embeddings_of_two_lengths_are_refused(folder):
         source.masks(keyframe(1))
 
 
-@pytest.mark.parametrize("content", [b"", b"not an archive"])
+def test_the_length_of_an_embedding_does_not_matter(folder):
+    values = np.array([[3e30, 4e30]])
+    details(folder, ids=np.array([300]), embeddings=values)
+    (embedding,) = [row for row in read(folder).embeddings if row.any()]
+    np.testing.assert_allclose(embedding, [0.6, 0.8], rtol=1e-6)
+
+
+NPY = io.BytesIO()
+np.save(NPY, np.arange(3))
+
+
+@pytest.mark.parametrize("content", [b"", b"not an archive", NPY.getvalue()])
 def test_a_broken_file_of_details_is_named(folder, content):
     (folder / "000000.npz").write_bytes(content)
     with pytest.raises(DatasetError, match=r"000000\.npz cannot be read"):
@@ -164,10 +179,12 @@ def test_bad_segmentations_are_refused(segmentation):
         decoded_mask(segmentation, (10, 10))
 
 
+IMAGE = {"id": 4, "file_name": "frame000000.jpg", "height": 120, "width": 160}
+
+
 def coco(annotations: list, **more) -> dict:
-    image = {"id": 4, "file_name": "frame000000.jpg", "height": 120, "width": 160}
     categories = [{"id": 3, "name": "chair"}]
-    return {"images": [image], "annotations": annotations, "categories": categories} | more
+    return {"images": [IMAGE], "annotations": annotations, "categories": categories} | more
 
 
 def annotation(mask: np.ndarray, **more) -> dict:
@@ -198,7 +215,11 @@ def test_small_masks_lie_in_front_of_large_ones(tmp_path):
         ({"images": []}, "not a COCO file"),
         (coco([{"image_id": 4}]), "segmentation"),
         (coco([annotation(np.ones((2, 2)), image_id=9)]), "image_id 9"),
+        (coco([annotation(np.ones((2, 2)), image_id=[4])]), "not a COCO file"),
+        (coco([annotation(np.ones((2, 2)), category_id=float("inf"))]), "not a COCO file"),
         (coco([], images=[]), "no image belongs to a frame"),
+        *((coco([], images=[IMAGE | {"height": n}]), f"x{n} pixels") for n in (-1, 0, 10**6)),
+        (coco([], images=[IMAGE | {"file_name": "9" * 5000}]), "not a COCO file"),
     ],
 )
 def test_bad_coco_files_are_refused_with_their_name(tmp_path, content, message):

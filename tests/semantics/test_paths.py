@@ -42,6 +42,8 @@ def test_cells_and_points_of_a_grid_belong_together():
     np.testing.assert_array_equal(where.cells_of(where.points_of(cells)), cells)
     outside = where.cells_of(on_map((-5.0, 99.0)))
     np.testing.assert_array_equal(outside, [[where.cells.shape[0] - 1, 0]])
+    inside = where.contains(on_map((0.0, 0.0), (-5.0, 1.0), (1.0, 99.0)))
+    np.testing.assert_array_equal(inside, [True, False, False])
 
 
 def test_a_path_leads_straight_through_the_door():
@@ -84,6 +86,12 @@ def test_a_closed_door_is_reported():
     where = grid(door_m=0.0)
     with pytest.raises(NoPathError, match="does not connect them"):
         PathFinder(where).shortest(place(where, 1, 1), place(where, 7, 1), 0.4)
+
+
+def test_no_width_is_so_small_that_paths_lead_through_walls():
+    where = grid(door_m=0.0)
+    with pytest.raises(NoPathError, match="does not connect"):
+        PathFinder(where).shortest(place(where, 1, 1), place(where, 7, 1), 1e-9)
 
 
 def test_paths_end_beside_objects_and_in_their_room():

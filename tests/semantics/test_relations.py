@@ -49,6 +49,25 @@ def test_things_stand_on_what_is_below_them():
     }
 
 
+def test_a_cup_on_a_book_is_not_on_the_table_below_the_book():
+    book = np.concatenate(
+        [sheet((1.9, 1.2, TABLE_TOP_M + h), (0.3, 0, 0), (0, 0.3, 0)) for h in (0.01, 0.04)]
+    )
+    cup = box(2.0, 1.3, TABLE_TOP_M + 0.05, 0.1)
+    related = found(floor=FLOOR, table=table(1.5, 1.0), book=book, cup=cup)
+    assert {("cup", "on", "book"), ("book", "on", "table")} <= related
+    assert ("cup", "on", "table") not in related
+
+
+def test_a_comforter_is_on_the_bed_of_which_it_leaves_the_sides_visible():
+    long, high = (2.0, 0, 0), (0, 0, 0.5)
+    bed = [sheet((1.0, y, 0.0), long, high) for y in (1.0, 2.4)]
+    bed += [sheet((1.0, 1.0, 0.0), (0, 1.4, 0), (0, 0, 0.9))]
+    comforter = sheet((1.1, 0.98, 0.52), (1.9, 0, 0), (0, 1.44, 0))
+    related = found(floor=FLOOR, bed=np.concatenate(bed), comforter=comforter)
+    assert ("comforter", "on", "bed") in related and ("comforter", "next to", "bed") not in related
+
+
 @pytest.mark.parametrize("gap_m", [0.0, 0.05])
 def test_the_gap_of_a_contact_is_an_option(gap_m):
     cup = box(2.0, 1.3, TABLE_TOP_M + gap_m, 0.1)

@@ -163,6 +163,8 @@ def test_relabelling_refuses_classes_outside_the_tree(taxonomy):
         ({"a": {"x": None, "y": 0}}, "empty group 'y'"),
         ({"a": ["x ", "y"]}, "surrounding space"),
         ({"a": ["x\ny", "z"]}, "line breaks"),
+        ({"a": ["\x1b[31mx", "y"]}, "control characters"),
+        ({"a": ["x" * 101, "y"]}, "it has 101 characters; shorten it to 100"),
         ({"a": ["x-y"], "b": ["x y"]}, "'x y' appears twice"),
     ],
 )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.cli.programs import CompareOptions
 from toolkit.evaluation.comparison import render_comparison, setting_rows
@@ -17,6 +18,7 @@ from toolkit.exports.selection import select
 from toolkit.io.atomic import write_bytes
 from toolkit.runs.comparing import compared_run
 from toolkit.runs.registering import relative_pose
+from toolkit.semantics.changes import MapChanges
 
 
 def main(options: CompareOptions) -> int:
@@ -34,22 +36,29 @@ def main(options: CompareOptions) -> int:
         compared_run(path, name, options.out)
         for path, name in zip(options.runs, names, strict=True)
     ]
+    found = None if options.objects is None else _compared_objects(options)
     write_bytes(options.out, render_comparison(runs).encode())
     print(f"compared {len(runs)} runs, {len(setting_rows(runs))} settings differ: {options.out}")
-    if options.objects is not None:
-        _compare_objects(options, options.objects)
+    if options.objects is not None and found is not None:
+        _write_changes(options, options.objects, *found)
     return 0
 
 
-def _compare_objects(options: CompareOptions, out: Path) -> None:
-    """Write the changed objects of the second run, and print them."""
+def _compared_objects(options: CompareOptions) -> tuple[MapChanges, NDArray[np.float64]]:
+    """Return the changed objects of the second run, and its pose in the first one."""
     selections = [select(path) for path in options.runs]
     T_before_after = np.eye(4)
     if not options.same_frame:
         runs = [selection.run for selection in selections]
         T_before_after = relative_pose(runs[0], runs[1], options.registration)
     before, after = (map_scene(selection, ObjectGraphOptions()) for selection in selections)
-    found = changes_between(before, after, T_before_after)
+    return changes_between(before, after, T_before_after), T_before_after
+
+
+def _write_changes(
+    options: CompareOptions, out: Path, found: MapChanges, T_before_after: NDArray[np.float64]
+) -> None:
+    """Write the changed objects of the second run, and print them."""
     content = {
         "before": str(options.runs[0]),
         "after": str(options.runs[1]),

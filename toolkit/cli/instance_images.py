@@ -15,6 +15,7 @@ from toolkit.errors import SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.io.class_names import MAX_NAME
 from toolkit.io.splat_labels import instances_in
 from toolkit.io.splats import read_splats
 from toolkit.io.user_files import read_text
@@ -112,6 +113,6 @@ def _names(file: Path | None) -> dict[int, str]:
         return {}
     try:
         objects = json.loads(read_text(file))["objects"]
-        return {int(one["id"]): str(one["class"]) for one in objects if one["class"]}
+        return {int(o["id"]): str(o["class"])[:MAX_NAME] for o in objects if o["class"]}
     except (OSError, ValueError, KeyError, TypeError):
         return {}

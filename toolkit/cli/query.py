@@ -191,6 +191,8 @@ def _answer_lines(answer: dict[str, Any], names: LengthNames) -> Iterator[str]:
             cells = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
             cells[1] = f"{row[1]:<{widths[1]}}"
             yield "  ".join(cells).rstrip()
+    elif answer["gaussians"]:
+        yield "Its Gaussians form no object; try a smaller --min-gaussians or a larger --link-m."
     yield ""
 
 

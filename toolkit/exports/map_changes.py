@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.errors import SettingsError
 from toolkit.exports.mapped_scene import MappedScene
 from toolkit.geometry import se3
 from toolkit.runs.visibility import KeyframeViews
@@ -20,7 +21,16 @@ def changes_between(
         before: the first map; changes are in its frame.
         after: the second map.
         T_before_after: [4, 4] pose of the second map in the frame of the first.
+
+    Raises:
+        SettingsError: a map has no known unit of length, so that places and sizes do not compare.
     """
+    for run in (before.selection.run, after.selection.run):
+        if not run.metric:
+            raise SettingsError(
+                f"run {run.folder.path.resolve().name} has lengths in arbitrary units, so its "
+                "objects cannot be compared; run SLAM again with --scale"
+            )
     T_after_before = se3.inverse(T_before_after)
     return compare_objects(
         _objects(before, np.eye(4)),

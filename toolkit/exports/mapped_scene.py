@@ -89,9 +89,16 @@ class MappedScene:
         return Place(name, footprint, within, storey)
 
     def place_at(self, point_m: NDArray[np.float64], name: str) -> Place:
-        """Return a point [3] of the map as the end of a path, on the storey at its height."""
+        """Return a point [3] of the map as the end of a path, on the storey at its height.
+
+        Raises:
+            NoPathError: it is outside the map.
+        """
         storey = int(self.building.floors.at(point_m[None])[0])
-        return Place(name, self.building.spaces[storey].grid.mask_of(point_m[None]), None, storey)
+        grid = self.building.spaces[storey].grid
+        if not grid.contains(point_m[None])[0]:
+            raise NoPathError(f"{name} is outside the map; choose another place")
+        return Place(name, grid.mask_of(point_m[None]), None, storey)
 
     def path(self, start: Place, goal: Place, width_m: float) -> FreePath:
         """Return the shortest free path of a minimum width between places of one storey.

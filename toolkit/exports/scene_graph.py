@@ -16,7 +16,7 @@ from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.atomic import write_bytes
 from toolkit.io.graphs import graph_bytes
-from toolkit.semantics.storey_rooms import add_storeys, graph_edge
+from toolkit.semantics.storey_rooms import add_storeys, graph_edge, graph_frame
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,7 @@ def scene_graph(scene: MappedScene) -> SceneGraph:
         "directed": True,
         "multigraph": True,
         "graph": {
-            "frame": f"map of the run, {'metres' if run.metric else 'arbitrary units'}",
-            "metric": run.metric,
-            "map_origin_m": run.origin_m.tolist(),
+            **graph_frame(run.metric, run.origin_m.tolist()),
             "up": ground.up.round(6).tolist(),
             "floor_height_m": round(ground.height_m, 4),
             "storeys_m": [round(height_m, 3) for height_m in storeys.heights_m],

@@ -21,7 +21,8 @@ from toolkit.growing_scene.segments import (
 )
 from toolkit.growing_scene.snapshot import Snapshot, snapshot_content
 from toolkit.growing_scene.twins import MIN_SHARED, Twins
-from toolkit.instances.tracking import InstanceTracker
+from toolkit.instances.tracking import InstanceTracker, labels_of_masks
+from toolkit.instances.voxels import sampled, sampling_step
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.bodies import Body
@@ -204,8 +205,13 @@ class GrowingScene:
         if record is None:
             return None
         numbers = np.array([tracker.current(int(n)) if n else 0 for n in record.objects], np.int32)
-        classes = [self._class_of_instance(int(n)) for n in numbers]
-        return masked_segments(keyframe, record, numbers, np.array(classes, np.int32))
+        classes = np.array([self._class_of_instance(int(n)) for n in numbers], np.int32)
+        if keyframe.class_ids is not None:
+            # Models name classes that the labels lack, such as "couch" for "sofa".
+            labels = sampled(keyframe.class_ids.numpy(), sampling_step(keyframe.camera.width))
+            seen = labels_of_masks(record.ids, labels, len(numbers))
+            classes = np.where(classes > 0, classes, seen)
+        return masked_segments(keyframe, record, numbers, classes)
 
     def _class_of_instance(self, number: int) -> int:
         one = self._instances.objects.get(number) if self._instances and number else None

@@ -53,7 +53,7 @@ class Snapshot:
 
 
 def snapshot_content(snapshot: Snapshot, taxonomy: Taxonomy) -> dict[str, Any]:
-    """Return nodes and edges as `export --format scene-graph` writes them.
+    """Return nodes and edges as `export --format scene-graph` writes them, without `graph_frame`.
 
     The identifiers of objects are their numbers in the run, and stay while the scene grows. Those
     of rooms follow.
@@ -89,7 +89,6 @@ def snapshot_content(snapshot: Snapshot, taxonomy: Taxonomy) -> dict[str, Any]:
         "directed": True,
         "multigraph": True,
         "graph": {
-            "frame": "map of the run, metres",
             "up": snapshot.ground.up.round(6).tolist(),
             "floor_height_m": round(snapshot.ground.height_m, 4),
             "storeys_m": [round(h, 3) for h in floors.storeys.heights_m],

@@ -18,6 +18,9 @@ from toolkit.io.user_files import read_text
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.segmenters.image_folder import resized_labels
 
+# Maximum width and height of an image, in pixels.
+_MAX_SIDE = 2**15
+
 
 @dataclass(frozen=True)
 class _Annotation:
@@ -44,24 +47,23 @@ class CocoMasks:
         content = _read(path)
         try:
             names = {int(c["id"]): str(c["name"]) for c in content.get("categories", [])}
-            sizes = {
-                i["id"]: (int(i["height"]), int(i["width"]), str(i["file_name"]))
-                for i in content["images"]
-            }
+            sizes = {i["id"]: (*_size(i), str(i["file_name"])) for i in content["images"]}
             annotations = [(a["image_id"], _annotation(a, names)) for a in content["annotations"]]
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            unknown = [image for image, _ in annotations if image not in sizes]
+            self._frames = _frames({n: name for n, (*_, name) in sizes.items()}, stems, path)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise DatasetError(
                 f"{path} is not a COCO file of instances ({error!r}); it needs images with id, "
                 "height, width and file_name, and annotations with image_id and segmentation"
             ) from error
-        self._frames = _frames({n: name for n, (*_, name) in sizes.items()}, stems, path)
+        if unknown:
+            raise DatasetError(
+                f"{path}: an annotation has image_id {unknown[0]}, which no image has; export the "
+                "masks again"
+            )
         self._sizes = {image: (height, width) for image, (height, width, _) in sizes.items()}
         self._annotations: dict[Any, list[_Annotation]] = {}
         for image, annotation in annotations:
-            if image not in sizes:
-                raise DatasetError(
-                    f"{path}: an annotation has image_id {image}, which no image has"
-                )
             self._annotations.setdefault(image, []).append(annotation)
 
     def class_names(self) -> set[str]:
@@ -113,6 +115,13 @@ def _read(path: Path) -> Mapping[str, Any]:
             f"{path} must have images, annotations and categories; results alone lack the images"
         )
     return content
+
+
+def _size(image: Mapping[str, Any]) -> tuple[int, int]:
+    height, width = int(image["height"]), int(image["width"])
+    if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
+        raise ValueError(f"an image has {width}x{height} pixels")
+    return height, width
 
 
 def _annotation(values: Mapping[str, Any], names: Mapping[int, str]) -> _Annotation:

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError
 from toolkit.instances.masks import InstanceMasks
 from toolkit.io.images import read_labels
+from toolkit.io.object_embeddings import unit_rows
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.segmenters.image_folder import resized_labels
 
 _log = logging.getLogger(__name__)
 
-# Squared lengths below this are embeddings of zeros.
-_SMALLEST = 1e-12
+# Embeddings of smaller length are zeros.
+_SMALLEST = 1e-6
 # Maximum length of the name of a model (`object_embeddings`).
 _MAX_NAME = 200
 
@@ -111,8 +112,8 @@ class MaskImageFolder:
                 f"{file} has embeddings of length {length}, but {self._length[1].name} has "
                 f"{self._length[0]}; compute all embeddings with one model"
             )
-        squares = np.einsum("ij,ij->i", embeddings, embeddings)[:, None]
-        return np.where(squares > _SMALLEST, embeddings / np.sqrt(squares + _SMALLEST), 0.0)
+        known = np.linalg.norm(embeddings.astype(np.float64), axis=1) >= _SMALLEST
+        return np.where(known[:, None], unit_rows(embeddings), np.float32(0.0))
 
 
 def _read(file: Path) -> dict[str, NDArray]:
@@ -124,7 +125,7 @@ def _read(file: Path) -> dict[str, NDArray]:
     try:
         with np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise DatasetError(
             f"{file} cannot be read ({error}); write it again, or delete it"
         ) from error
@@ -147,9 +148,17 @@ def _read(file: Path) -> dict[str, NDArray]:
                 f"{file}: {name} has shape {list(column.shape)} for {count} ids; write one row for "
                 "each id"
             )
-        if name != "classes" and not (
-            np.issubdtype(column.dtype, np.number) and np.isfinite(column).all()
-        ):
+        if name == "classes":
+            if count and column.dtype.kind != "U":
+                raise DatasetError(
+                    f"{file}: classes must be texts, got {column.dtype}; convert them"
+                )
+            continue
+        if column.dtype.kind not in "fiu":
+            raise DatasetError(f"{file}: {name} must be numbers, got {column.dtype}; convert them")
+        with np.errstate(over="ignore"):
+            columns[name] = column = column.astype(np.float32)
+        if not np.isfinite(column).all():
             raise DatasetError(f"{file}: {name} has values that are not finite; write it again")
     if count and not ((columns["scores"] >= 0) & (columns["scores"] <= 1)).all():
         raise DatasetError(f"{file}: scores must lie in 0 to 1; scale them")
@@ -158,6 +167,4 @@ def _read(file: Path) -> dict[str, NDArray]:
         raise DatasetError(
             f"{file}: model must be a name of at most {_MAX_NAME} characters; write it again"
         )
-    for name in ("scores", "embeddings"):
-        columns[name] = columns[name].astype(np.float32)
     return columns

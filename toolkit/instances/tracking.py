@@ -168,16 +168,10 @@ class InstanceTracker:
         classes = list(masks.classes)
         if keyframe.class_ids is None or all(name is not None for name in classes):
             return classes
-        labels = sampled(keyframe.class_ids.numpy(), step).reshape(-1).astype(np.int64)
-        width = int(labels.max(initial=0)) + 1
-        cells = np.bincount(
-            ids.reshape(-1).astype(np.int64) * width + labels, minlength=(len(masks) + 1) * width
-        ).reshape(len(masks) + 1, width)[1:]
-        cells[:, 0] = 0
-        best = cells.argmax(axis=1)
-        sure = cells.max(axis=1) >= _MIN_CLASS * np.maximum(cells.sum(axis=1), 1)
+        labels = sampled(keyframe.class_ids.numpy(), step)
+        best = labels_of_masks(ids, labels, len(masks))
         for k, name in enumerate(classes):
-            if name is None and sure[k] and best[k] > 0:
+            if name is None and best[k] > 0:
                 classes[k] = self._class_names.get(int(best[k]))
         return classes
 
@@ -324,6 +318,24 @@ class InstanceTracker:
             restored = ViewEmbeddings.from_values(views, own)
             self.objects[int(one["number"])] = TrackedObject.from_values(one, restored)
             row += len(own)
+
+
+def labels_of_masks(
+    ids: NDArray[np.integer], labels: NDArray[np.integer], count: int
+) -> NDArray[np.intp]:
+    """The label [K] of at least half of the labelled pixels of each mask, 0 for none.
+
+    Args:
+        ids: [H, W] masks 1..K of the pixels, 0 for none.
+        labels: [H, W] classes, 0 for none.
+        count: number K of masks.
+    """
+    width = int(labels.max(initial=0)) + 1
+    keys = ids.reshape(-1).astype(np.int64) * width + labels.reshape(-1)
+    cells = np.bincount(keys, minlength=(count + 1) * width).reshape(count + 1, width)[1:]
+    cells[:, 0] = 0
+    sure = cells.max(axis=1) >= _MIN_CLASS * np.maximum(cells.sum(axis=1), 1)
+    return np.where(sure, cells.argmax(axis=1), 0)
 
 
 def _limited(masks: InstanceMasks) -> InstanceMasks:

@@ -13,13 +13,30 @@ _FORM = '{"void": 0, "classes": {"1": "name", ...}}'
 _COLOUR_FORM = '"colours": {"1": [red, green, blue], ...}, each 0 to 255'
 VOID_NAMES = ("void", "unlabeled", "unlabelled", "ignore")
 _MAX_CLASS_ID = 65535
+# Maximum number of characters of a name.
+MAX_NAME = 100
+
+
+def name_fault(name: str) -> str | None:
+    """Return what is wrong with the name of a class or group and the remedy; None for valid ones.
+
+    Names are shown on one line of terminals, pictures and pages, and are parts of paths.
+    """
+    if ">" in name:
+        return "'>' separates the parts of a path; leave it out"
+    if name != name.strip() or not name.isprintable():
+        return "remove surrounding space, line breaks and control characters"
+    if len(name) > MAX_NAME:
+        return f"it has {len(name)} characters; shorten it to {MAX_NAME}"
+    return None
 
 
 def read_class_names(path: Path) -> dict[int, str]:
     """Read class names by id from `classes.json`: {"void": 0, "classes": {"1": "name", ...}}.
 
     Raises:
-        DatasetError: the file is missing or malformed, or id 0 has the name of a class.
+        DatasetError: the file is missing or malformed, id 0 has the name of a class, or a name is
+            not valid.
     """
     content = _content(path)
     classes = _mapping(content, "classes", path)
@@ -28,6 +45,9 @@ def read_class_names(path: Path) -> dict[int, str]:
         number = _class_id(key, path)
         if not isinstance(name, str) or not name.strip():
             raise DatasetError(f"{path}: class {number} must have a name, got {name!r}")
+        fault = name_fault(name)
+        if fault is not None:
+            raise DatasetError(f"{path}: class {number} is called {name[:MAX_NAME]!r}: {fault}")
         if number == 0:
             if name.casefold() not in VOID_NAMES:
                 raise DatasetError(f"{path}: id 0 is void, so it cannot be '{name}'; renumber it")

@@ -48,10 +48,17 @@ class OccupancyGrid:
 
         Points outside the grid belong to the nearest cell of its border.
         """
-        places = points_m @ self.T_grid_map[:2, :3].T + self.T_grid_map[:2, 3]
-        columns_rows = np.floor((places - self.origin_m) / self.cell_m)
         last = np.array(self.cells.shape) - 1
-        return np.clip(columns_rows[:, ::-1], 0, last).astype(np.intp)
+        return np.clip(self._rows_columns(points_m), 0, last).astype(np.intp)
+
+    def contains(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which points [N, 3] of the map are above or below a cell of the grid."""
+        places = self._rows_columns(points_m)
+        return np.asarray(((places >= 0) & (places < self.cells.shape)).all(axis=1))
+
+    def _rows_columns(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        places = points_m @ self.T_grid_map[:2, :3].T + self.T_grid_map[:2, 3]
+        return np.floor((places - self.origin_m) / self.cell_m)[:, ::-1]
 
     def points_of(self, cells: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return the points [N, 3] of the map on the floor at the centres of cells [N, 2]."""

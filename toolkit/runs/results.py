@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -63,6 +64,8 @@ from toolkit.runs.report_pictures import (
 from toolkit.runs.separate_parts import separate_part_metrics, write_separate_parts
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.palette import Palette
+from toolkit.semantics.query import FLOOR_NAMES
+from toolkit.semantics.storey_rooms import graph_frame
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.result import SlamResult
 from toolkit.stages import Stage
@@ -122,16 +125,16 @@ def write_results(
     folder.write_map(labelled_parts(scene, result.map, result, settings))
     if result.instances is not None:
         write_instances(result.instances, folder, result.taxonomy)
-    if result.scene_graph is not None:
-        _write_scene_graph(folder, result.scene_graph)
+    names, origins = LengthNames(_is_metric(record)), _origins(dataset, folder, settings)
+    if settings.scene.graph:
+        write_scene_graph(folder, result.scene_graph, names.metric, origins)
     write_separate_parts(result, folder, settings)
     states, parts = frame_states(result), part_summaries(result)
     summary = [*record.findings, *summary_lines(states, parts)]
     frames = frame_records(result, tracked, states, parts)
     frames["camera"] = asdict(dataset.camera)
-    names = LengthNames(_is_metric(record))
     summary.extend(names.notes)
-    frames |= {"metric": names.metric, **_origins(dataset, folder, settings)}
+    frames |= {"metric": names.metric, **origins}
     if pace is not None:
         frames["dropped"] = result.dropped_frames
         write_bytes(folder.delays, pace.csv().encode())
@@ -174,7 +177,29 @@ def write_results(
     _log.info("Wrote the results to %s; see report.html there.", folder.path)
 
 
-def _write_scene_graph(folder: RunFolder, content: dict[str, Any]) -> None:
+def write_scene_graph(
+    folder: RunFolder, content: dict[str, Any] | None, metric: bool, origins: Mapping[str, Any]
+) -> None:
+    """Write the graph of a growing scene as JSON, JSON-LD and GraphML; log if there is none.
+
+    Args:
+        folder: the run folder.
+        content: the graph without its frame; None if no floor was found.
+        metric: whether the unit of length is the metre.
+        origins: may contain `origin_m`, the map's origin in the coordinates of given poses.
+
+    Raises:
+        RunFolderError: a file cannot be written.
+    """
+    if content is None:
+        _log.warning(
+            "No scene graph was written, because no floor was found: no surface of the classes %s "
+            "forms a plane.",
+            ", ".join(FLOOR_NAMES),
+        )
+        return
+    frame = graph_frame(metric, origins.get("origin_m", [0.0, 0.0, 0.0]))
+    content = content | {"graph": frame | content["graph"]}
     for suffix in (".json", ".jsonld", ".graphml"):
         write_bytes(folder.scene_graph.with_suffix(suffix), graph_bytes(content, suffix))
 

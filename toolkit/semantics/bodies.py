@@ -13,7 +13,7 @@ Keys = NDArray[np.int64]
 
 # Cell of the comparison of footprints; larger than the spacing of Gaussians.
 _CELL_M = 0.05
-# Minimum share of the footprint of an object below which a supporting object lies.
+# Minimum share of the footprint of an object above another one, and of its edge on that one.
 _MIN_SUPPORT = 0.3
 # The lowest and highest parts of an object are these percentiles of the heights of its points,
 # because single Gaussians with wrong labels may lie beyond.
@@ -60,22 +60,29 @@ class Body:
         return _cells(self.points)
 
     @cached_property
+    def _rim(self) -> Keys:
+        """The cells at the edge of the footprint: what is below the others is hidden from above."""
+        sides = [step << shift for step in (-_HIDDEN_CELLS, _HIDDEN_CELLS) for shift in (0, 32)]
+        inner = np.all([_contained(self.cells + side, self.cells) for side in sides], axis=0)
+        return np.asarray(self.cells[~inner])
+
+    @cached_property
     def _tree(self) -> KDTree:
         return KDTree(self.points)
 
     def on(self, other: Body, contact_m: float) -> bool:
-        """Return whether enough of the footprint has points of `other` right below the bottom.
+        """Return whether enough of the edge has points of `other` right below the bottom.
 
         What supports an object begins below it: neighbours on one table do not support each other.
         """
         return self.support(other, contact_m) >= _MIN_SUPPORT
 
     def support(self, other: Body, contact_m: float) -> float:
-        """Return the share of the footprint that `other` supports."""
+        """Return the share of the edge of the footprint that `other` supports."""
         if other.bottom > self.bottom - contact_m / 2 or other.inside(self):
             return 0.0
         # What the object hides was not observed, so its surroundings support it as well.
-        return self._share(self.cells, self._support(other, contact_m), 1)
+        return self._share(self._rim, self._support(other, contact_m), 1)
 
     def reaches(self, floor: Body, contact_m: float) -> bool:
         """Return whether a floor has points at the height of the bottom below or beside it.

@@ -117,7 +117,8 @@ class PathFinder:
         return float(widths[best]), path.narrowest_m
 
     def _wide(self, width_m: float) -> Mask:
-        return np.asarray(self._width_m >= max(width_m, 1e-9) - 1e-9)
+        # Occupied and unknown cells have a width of 0, which no tolerance may admit.
+        return np.asarray((self._width_m > 0) & (self._width_m >= width_m - 1e-9))
 
     def _check_reach(self, place: Place, width_m: float) -> None:
         if (self._wide(width_m) & self._near(place, width_m)).any():

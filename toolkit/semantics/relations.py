@@ -157,6 +157,8 @@ def support(
         return [Relation(source, smallest, "in")]
     below = [k for k in near if roles[k] == "object" and body.on(bodies[k], options.contact_m)]
     floors = [] if below else [k for k in near if roles[k] == "floor"]
+    # A cup on a book does not stand on the table, which is hardly lower.
+    below = [k for k in below if not any(bodies[n].on(bodies[k], options.contact_m) for n in below)]
     below = below or _floor_below(body, floors, bodies, options.contact_m)
     if not below:
         below = [k for k in near if roles[k] == "wall" and body.hangs_at(bodies[k])][:1]

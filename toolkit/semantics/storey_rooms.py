@@ -166,6 +166,15 @@ def add_storeys(content: dict[str, Any], storeys: Storeys) -> None:
     nodes.append({"id": first + count, "kind": "building", "name": "building", "storeys": count})
 
 
+def graph_frame(metric: bool, map_origin_m: Sequence[float]) -> dict[str, Any]:
+    """Return the frame of a graph: its unit of length, and its origin in given poses."""
+    return {
+        "frame": f"map of the run, {'metres' if metric else 'arbitrary units'}",
+        "metric": metric,
+        "map_origin_m": list(map_origin_m),
+    }
+
+
 def graph_edge(source: int, target: int, kind: str) -> dict[str, Any]:
     """Return an edge in node-link format."""
     return {"source": source, "target": target, "key": kind, "relation": kind}

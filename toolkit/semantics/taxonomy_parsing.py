@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from toolkit.errors import FormatError
+from toolkit.io.class_names import MAX_NAME, name_fault
 
 VOID_NAME = "void"
 
@@ -114,10 +115,9 @@ def _children(tree: Any, above: tuple[str, ...]) -> list[tuple[str, Any]]:
 def _check_name(name: object, where: str) -> None:
     if not isinstance(name, str) or not name.strip():
         raise FormatError(f"{where} contains {name!r}, which is not a name; put it in quotes")
-    if ">" in name:
-        raise FormatError(f"{where} contains {name!r}: '>' separates the parts of a path")
-    if name != name.strip() or not name.isprintable():
-        raise FormatError(f"{where} contains {name!r}: remove surrounding space and line breaks")
+    fault = name_fault(name)
+    if fault is not None:
+        raise FormatError(f"{where} contains {name[:MAX_NAME]!r}: {fault}")
 
 
 def _repeated(names: Sequence[str]) -> list[str]:

@@ -38,6 +38,7 @@ MAX_RESULTS = 50
 _MAX_NAME, _MAX_EXPLANATION = 100, 400
 _MAX_POINTS = 100
 _MIN_SIGHT_M = 1e-3
+_REMEDY = "call describe: objects_by_name lists the names"
 # Control characters (ANSI sequences begin with one) and those that change the direction of text.
 _UNSAFE = re.compile("[\u0000-\u001f\u007f-\u009f\u200b-\u200f\u2028-\u202e\u2066-\u2069]")
 
@@ -69,7 +70,7 @@ class MapTools:
         Raises:
             ToolkitError: the name, colour or room does not exist.
         """
-        meant = None if name is None else match(name, self._scene.map.taxonomy)
+        meant = None if name is None else match(name, self._scene.map.taxonomy, remedy=_REMEDY)
         paths = [()] if meant is None else [node.path for node in meant.nodes]
         if colour is not None and colour not in COLOUR_NAMES:
             raise SettingsError(f"colour must be one of {', '.join(COLOUR_NAMES)}")

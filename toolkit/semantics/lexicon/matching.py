@@ -74,7 +74,7 @@ def match(
         return Match(text, (taxonomy.find(text),))
     check_query(text)
     if ">" in text:
-        return Match(text, (taxonomy.find(text),))  # raises the error, with similar names
+        return _named(text, taxonomy, remedy)
     lexicon = lexicon or load_lexicon()
     for noun in _endings(folded(text)):
         named = [name for name in forms(noun) if taxonomy.find_all(name)]
@@ -90,10 +90,21 @@ def match(
                 reason = _unmatched(text, noun, meanings, taxonomy, lexicon)
                 raise FormatError(f"{reason}; {remedy}")
             return _by_meaning(text, noun, found)
+    return _named(text, taxonomy, remedy)
+
+
+def _named(text: str, taxonomy: Taxonomy, remedy: str) -> Match:
+    """Return the match of a name.
+
+    Raises:
+        FormatError: there is none; the message has similar names, or else the remedy.
+    """
     try:
         return Match(text, (taxonomy.find(text),))
     except FormatError as error:
-        raise FormatError(str(error) if "?" in str(error) else f"{error}; {remedy}") from None
+        raise FormatError(
+            str(error) if str(error).endswith("?") else f"{error}; {remedy}"
+        ) from None
 
 
 def selected_nodes(names: Sequence[str], taxonomy: Taxonomy, remedy: str = _REMEDY) -> list[Node]:
