@@ -63,7 +63,7 @@ def read_elements(path: Path) -> dict[str, NDArray]:
         raise FormatError(f"{path} is truncated: its header has no end; write it again")
     try:
         order, layouts = _header(content[: end.start()].decode("utf-8", "replace").split("\n")[1:])
-        data: bytes | list[bytes] = content[end.end() :]
+        data: memoryview | list[bytes] = memoryview(content)[end.end() :]  # no copies: it is large
         if order is None:
             data = content[end.end() :].split()
         elements, place = {}, 0
@@ -83,13 +83,13 @@ def read_elements(path: Path) -> dict[str, NDArray]:
     return elements
 
 
-def _rows(data: bytes | list[bytes], dtype: np.dtype, count: int) -> NDArray:
+def _rows(data: memoryview | list[bytes], dtype: np.dtype, count: int) -> NDArray:
     """Rows [N] from bytes, or from the words of a text.
 
     Raises:
         ValueError: an element has no properties, or a word is no number.
     """
-    if isinstance(data, bytes):
+    if isinstance(data, memoryview):
         return np.frombuffer(data, dtype, count)
     rows, names = np.empty(count, dtype), dtype.names or ()
     for column, name in enumerate(names):
