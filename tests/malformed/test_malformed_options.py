@@ -52,7 +52,7 @@ BAD_OPTIONS = {
         *("--to out.mesh.ply --voxel-m 1e-9", "--to out.mesh.ply --max-depth-m nan"),
         *("--to out.mesh.ply --max-depth-m 0", "--to out.mesh.ply --every 0"),
     ],
-    "export ": ["nothing --to out.ply", "full --to out.ply", "run/map.ply --to out.ply"],
+    "export ": ["nothing --to out.ply", "full --to out.ply", "run/map.ply --to out.ply --keep x"],
     "query run ": [
         *("unicorn", "wall --list", "--min-confidence 2", "--min-confidence nan"),
         *("--link-m 0", "--link-m nan", "--link-m inf", "--min-gaussians 0", "--floor unicorn"),
