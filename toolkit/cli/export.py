@@ -58,8 +58,7 @@ def _converted(options: ExportOptions) -> str:
             "--format splats without --keep and --drop, or a run folder"
         )
     splats = read_splats(options.run)
-    tree = splats.taxonomy
-    export_splats(options.to, splats, splats.extra, (), options.spz_version, tree)
+    export_splats(options.to, splats, splats.extra, (), options.spz_version, splats.taxonomy)
     return f"{len(splats)} Gaussians"
 
 

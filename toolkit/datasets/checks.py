@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -28,6 +26,7 @@ from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.datasets.times import unit_fault
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
+from toolkit.io.process_streams import STDERR, diverted
 
 # Minimum fraction of pixels with valid depth that tracking needs.
 _MIN_VALID_FRACTION = 0.01
@@ -286,14 +285,8 @@ def decoder_warning(path: Path) -> str:
     """
     if path.suffix.lower() not in (".jpg", ".jpeg"):
         return ""
-    sys.stderr.flush()
-    stderr = os.dup(2)
-    with tempfile.TemporaryFile() as diverted:
-        os.dup2(diverted.fileno(), 2)
-        try:
+    with tempfile.TemporaryFile() as printed:
+        with diverted([STDERR], printed.fileno()):
             cv2.imread(str(path), cv2.IMREAD_COLOR)
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
-        diverted.seek(0)
-        return diverted.read().decode("utf-8", "replace").strip()
+        printed.seek(0)
+        return printed.read().decode("utf-8", "replace").strip()

@@ -17,7 +17,7 @@ from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from toolkit.runs.visibility import KeyframeViews
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.roles import ENCLOSING_NAMES
-from toolkit.semantics.rooms import RoomMap, RoomOptions, find_rooms, free_floor
+from toolkit.semantics.rooms import RoomMap, RoomOptions, closed, find_rooms, free_floor
 from toolkit.semantics.scene import WALL_NAMES
 
 Mask = NDArray[np.bool_]
@@ -123,8 +123,7 @@ def _seen_through(grid: OccupancyGrid, views: KeyframeViews) -> Mask:
 
 def _inside(grid: OccupancyGrid, walls: Mask, looked: Mask) -> Mask:
     """Return the cells [H, W] of rooms: seen space, observed floor and furniture, no walls."""
-    seen = ((grid.cells != UNKNOWN) | looked).astype(np.uint8)
-    seen = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)
+    seen = closed(((grid.cells != UNKNOWN) | looked).astype(np.uint8))
     return _filled(seen & ~walls, ~seen & ~walls, _MAX_HIDDEN_M2 / grid.cell_m**2)
 
 

@@ -206,7 +206,7 @@ class GrowingScene:
             return None
         numbers = np.array([tracker.current(int(n)) if n else 0 for n in record.objects], np.int32)
         classes = np.array([self._class_of_instance(int(n)) for n in numbers], np.int32)
-        if keyframe.class_ids is not None:
+        if keyframe.class_ids is not None and ((classes == 0) & (numbers > 0)).any():
             # Models name classes that the labels lack, such as "couch" for "sofa".
             labels = sampled(keyframe.class_ids.numpy(), sampling_step(keyframe.camera.width))
             seen = labels_of_masks(record.ids, labels, len(numbers))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from toolkit.keyframe import Keyframe
-from toolkit.semantics.rooms import RoomMap, find_rooms, free_floor
+from toolkit.semantics.rooms import RoomMap, closed, find_rooms, free_floor
 from toolkit.semantics.storey_rooms import numbered_rooms
 from toolkit.semantics.storeys import Floors
 
@@ -96,7 +96,7 @@ class GrowingRooms:
         seen = np.zeros((int(size[1]), int(size[0])), np.uint8)
         x, y = self._cells(floor).T
         seen[y, x] = 1
-        walkable = _closed(seen)
+        walkable = closed(seen)
         x, y = self._cells(objects).T
         seen[y, x] = 1
         for fan in fans:
@@ -110,7 +110,7 @@ class GrowingRooms:
         wall[y, x] = True
         at = self._cells(cameras)
         free = free_floor(walkable & ~wall, at[:, ::-1], _CELL_M)
-        rooms = find_rooms(_closed(seen) & ~wall, _CELL_M, walls=wall, free=free)
+        rooms = find_rooms(closed(seen) & ~wall, _CELL_M, walls=wall, free=free)
         x, y = at.T
         if fans:
             rooms = rooms.renumbered(rooms.numbers[y, x].astype(np.intp))
@@ -201,11 +201,6 @@ class GrowingBuilding:
         """The centre of a cell (row, column) on the floor as a point [3] of the world."""
         ground, place = self._floors.of(storey), self._storeys[storey].place(cell)
         return np.asarray(ground.axes @ np.append(place, ground.height_m))
-
-
-def _closed(cells: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Cells without gaps of one cell."""
-    return cv2.morphologyEx(cells, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)
 
 
 def _seen_on(fan: Array, floors: Floors, storey: int) -> Array:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing
+from toolkit.io.process_streams import STDERR, STDOUT, diverted
 from toolkit.io.splat_columns import Columns
 
 
@@ -52,22 +52,8 @@ def write_with_open3d(path: Path, columns: Columns) -> None:
 @contextmanager
 def _silent() -> Iterator[None]:
     """Discard what the libraries in Open3D print to stdout and stderr of the process."""
-    kept = {}
-    for number, stream in ((1, sys.stdout), (2, sys.stderr)):
-        # Services may have closed theirs.
-        with suppress(OSError, AttributeError):
-            stream.flush()
-            kept[number] = os.dup(number)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for number in kept:
-            os.dup2(nowhere, number)
+    with Path(os.devnull).open("wb") as nowhere, diverted((STDOUT, STDERR), nowhere.fileno()):
         yield
-    finally:
-        os.close(nowhere)
-        for number, copy in kept.items():
-            os.dup2(copy, number)
-            os.close(copy)
 
 
 def _first_line(error: Exception) -> str:

@@ -152,6 +152,11 @@ def find_rooms(
     return found.renumbered(np.argsort(-np.array(areas_m2), kind="stable"))
 
 
+def closed(cells: NDArray[np.uint8]) -> Mask:
+    """Return cells [H, W] without the gaps of one cell between them."""
+    return cv2.morphologyEx(cells, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)
+
+
 def free_floor(floor: Mask, cameras: NDArray[np.integer], cell_m: float) -> Mask:
     """Return where somebody can walk: on observed floor, and where the camera passed.
 
