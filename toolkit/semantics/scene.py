@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.semantics.boxes import Ground, OrientedBox, floor_area_m2, oriented_box
-from toolkit.semantics.lexicon.matching import match
+from toolkit.semantics.lexicon.matching import LIST_CLASSES, match
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.query import (
     CEILING_NAMES,
@@ -52,7 +52,7 @@ class SceneReader:
         """
         return self.known_ground or self.map.ground(self.floor)
 
-    def answer(self, text: str) -> dict[str, Any]:
+    def answer(self, text: str, remedy: str = LIST_CLASSES) -> dict[str, Any]:
         """Describe what a text means: Gaussians, confidence, floor area and objects.
 
         For a text that is not the name or path of a node, the answer also has the text (`asked`),
@@ -60,11 +60,12 @@ class SceneReader:
 
         Args:
             text: a name, path or noun that `match` understands.
+            remedy: how to list the classes, for errors.
 
         Raises:
             FormatError: nothing in the tree matches, or several things do.
         """
-        meant = match(text, self.map.taxonomy)
+        meant = match(text, self.map.taxonomy, remedy=remedy)
         members = np.zeros(len(self.map), bool)
         objects: list[SceneObject] = []
         for node in meant.nodes:

@@ -221,7 +221,7 @@ class ServedRun:
         )
 
     def _compute_answer(self, name: str, options: ObjectOptions) -> dict[str, Any]:
-        return self._reader(options).answer(name)
+        return self._reader(options).answer(name, "GET /classes lists them")
 
     def _reader(self, options: ObjectOptions) -> SceneReader:
         try:

@@ -19,7 +19,7 @@ _MAX_UP, _MAX_ACROSS = 6, 4
 _MAX_KINDS = 300
 _SUGGESTIONS = 3
 _MAX_LISTED = 8
-_REMEDY = "list its classes with: semsplat query RUN --list"
+LIST_CLASSES = "list its classes with: semsplat query RUN --list"
 # Of a word of the user, this many meanings are considered even if they are rare.
 _FIRST_MEANINGS = 2
 
@@ -53,7 +53,7 @@ class _Found:
 
 
 def match(
-    text: str, taxonomy: Taxonomy, lexicon: Lexicon | None = None, remedy: str = _REMEDY
+    text: str, taxonomy: Taxonomy, lexicon: Lexicon | None = None, remedy: str = LIST_CLASSES
 ) -> Match:
     """Return the nodes that a text means.
 
@@ -107,7 +107,9 @@ def _named(text: str, taxonomy: Taxonomy, remedy: str) -> Match:
         ) from None
 
 
-def selected_nodes(names: Sequence[str], taxonomy: Taxonomy, remedy: str = _REMEDY) -> list[Node]:
+def selected_nodes(
+    names: Sequence[str], taxonomy: Taxonomy, remedy: str = LIST_CLASSES
+) -> list[Node]:
     """Return the nodes that names and nouns select, for programs that change what they select.
 
     Unlike `match`, which finds the nearest classes, it never selects more than the text means:
