@@ -129,7 +129,9 @@ class Functions:
         found = self._store.find(key)
         if found is None:
             found = MEASURES[kind](job, seed)
-            self._store.add(key, found)
+            # A rival that is not installed can be installed later.
+            if found:
+                self._store.add(key, found)
             print(f"{kind}: {job}, seed {seed}", flush=True)
         return found
 
