@@ -185,6 +185,7 @@ def _papers(figures: Figures) -> str:
     return (
         "The papers' systems as printed (`--preset hier-slam` and `gausem`) at 160x120 (ring: "
         "120x90): ATE, mapped views, time per frame with the refinement. "
+        "Errors of GauSem-SLAM on the ring [differ between machines](docs/papers.md). "
         f"{figures.source(_PAPERS)}.\n\n{table.markdown()}"
     )
 
