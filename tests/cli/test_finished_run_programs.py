@@ -111,7 +111,8 @@ def test_an_unfinished_or_damaged_run_says_what_to_do(run, capsys, job):
     assert "frames.json is damaged" in one_line_of_error(capsys, job, run)
     (run / "frames.json").write_text("{")
     assert "frames.json is not JSON" in one_line_of_error(capsys, job, run)
-    (run / "map.ply").unlink()
+    for name in ("map.ply", "metrics.json"):
+        (run / name).unlink()
     assert "--resume" in one_line_of_error(capsys, job, run)
 
 
@@ -157,3 +158,39 @@ def test_evaluate_does_without_earlier_metrics(run):
     (run / "metrics.json").unlink()
     assert main(["evaluate", str(run), "--max-views", "1"]) == 0
     assert json.loads((run / "metrics.json").read_text())["images"]["mapped"]["views"] == 1
+
+
+@pytest.mark.parametrize("name", ["map.ply", "config.yaml", "report.html", "scene_graph.jsonld"])
+def test_no_output_replaces_a_file_of_a_run(run, capsys, name):
+    """Also of runs that lack the file: it would be taken for the run's own."""
+    before = {path: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    line = one_line_of_error(capsys, "export", run, "--to", run / name)
+    assert f"{run / name} is a file of the run" in line
+    assert "choose another name" in line
+    assert {path: path.read_bytes() for path in run.iterdir() if path.is_file()} == before
+    (run / "parts/1").mkdir(parents=True)
+    assert "is a file of the run" in one_line_of_error(
+        capsys, "export", run, "--to", run / "parts/1/map.ply"
+    )
+
+
+def test_outputs_of_a_runs_name_are_written_elsewhere(run, tmp_path):
+    (tmp_path / "config.yaml").touch()
+    assert main(["export", str(run), "--to", str(tmp_path / "map.ply")]) == 0
+    assert main(["export", str(run), "--to", str(run / "room.ply")]) == 0
+
+
+def test_a_run_without_a_map_is_not_called_unfinished(run, capsys):
+    (run / "map.ply").unlink()
+    line = one_line_of_error(capsys, "render", run)
+    assert "ended without a map" in line
+    assert str(run / "log.txt") in line
+    (run / "metrics.json").unlink()
+    assert "--resume" in one_line_of_error(capsys, "render", run)
+
+
+def test_the_map_of_a_folder_that_is_no_run_is_named(run, tmp_path, capsys):
+    (tmp_path / "edited").mkdir()
+    file = (run / "map.ply").rename(tmp_path / "edited/map.ply")
+    line = one_line_of_error(capsys, "query", tmp_path / "edited", "chair")
+    assert f"view and export take {file}" in line

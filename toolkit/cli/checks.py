@@ -43,11 +43,29 @@ def check_output(option: str, path: Path, suffixes: Sequence[str], what: str = "
 
     Raises:
         FormatError: the suffix is not supported, or the folder does not exist.
+        RunFolderError: it is a file of a run.
     """
     if path.suffix not in suffixes:
         raise FormatError(f"{option} {path}: {what} must end in {' or '.join(suffixes)}")
     if not path.parent.is_dir():
         raise FormatError(f"{option} {path}: there is no folder {path.parent}; create it")
+    _check_no_run_file(option, path)
+
+
+def _check_no_run_file(option: str, path: Path) -> None:
+    """Refuse to replace a file that makes up a run, such as its map."""
+    part = path.absolute().parent
+    folder = part.parent.parent if part.parent.name == "parts" else part
+    # Only then is the module of run folders imported, which loads torch.
+    if not (folder / "frames.json").is_file():
+        return
+    from toolkit.runs.folder import RunFolder
+
+    if path.name in RunFolder(folder).file_names:
+        raise RunFolderError(
+            f"{option} {path} is a file of the run in that folder and would be replaced; choose "
+            "another name"
+        )
 
 
 def _check_render(options: RenderProgram) -> None:

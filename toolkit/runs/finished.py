@@ -157,11 +157,17 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
     path = Path(path)
     folder = RunFolder.open(path)
     for file in (folder.map, folder.trajectory, folder.frames):
-        if not file.is_file():
+        if file.is_file():
+            continue
+        if folder.metrics.is_file():
             raise RunFolderError(
-                f"{path} has no {file.name}: the run is not finished; "
-                "repeat its semsplat run command with --resume"
+                f"{path} has no {file.name}: the run ended without a map, or the file was removed; "
+                f"see {folder.log}"
             )
+        raise RunFolderError(
+            f"{path} has no {file.name}: the run is not finished; "
+            "repeat its semsplat run command with --resume"
+        )
     content = _read_frames(folder.frames)
     settings = load_settings(folder.config)
     taxonomy = folder.read_taxonomy()

@@ -127,8 +127,16 @@ class RunFolder:
         if path.is_file():
             raise RunFolderError(f"{path} is a file; give the folder of a run")
         if not folder.config.is_file():
-            raise RunFolderError(f"{path} contains no run: config.yaml is missing")
+            remedy = f"; render, view and export take {folder.map}" * folder.map.is_file()
+            raise RunFolderError(f"{path} contains no run: config.yaml is missing{remedy}")
         return folder
+
+    @property
+    def file_names(self) -> set[str]:
+        """Names of the files and folders that make up a run."""
+        graphs = {self.scene_graph.with_suffix(suffix) for suffix in (".jsonld", ".graphml")}
+        paths = graphs | {value for value in vars(self).values() if isinstance(value, Path)}
+        return {path.name for path in paths if path.parent == self.path}
 
     def part(self, number: int) -> RunFolder:
         """Folder of a separate part of the map, which contains its trajectory and map."""
