@@ -6,12 +6,14 @@ import json
 
 import numpy as np
 import pytest
+import torch
 from labelled_room import IDS
 from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.main import main
 from toolkit.io.images import read_rgb
 from toolkit.io.splats import read_splats
+from toolkit.runs.editing import painted_harmonics
 
 
 @pytest.fixture
@@ -98,3 +100,13 @@ def test_edit_needs_labels_and_an_empty_folder(run, labelled_run, tmp_path, caps
     assert "has no labels" in line
     words = ["--out", labelled_run, "--remove", "chair"]
     assert "not an empty folder" in one_line_of_error(capsys, "edit", labelled_run, *words)
+
+
+def test_recoloured_harmonics_have_the_new_hue():
+    """A view from anywhere shows the hue, with the brightness that varied as before."""
+    colours = torch.full((1, 3), 0.5)
+    harmonics = torch.zeros(1, 3, 3)
+    harmonics[0, 1] = torch.tensor([0.3, 0.0, 0.0])
+    changed = painted_harmonics(harmonics, colours, (0.0, 0.8, 0.0))
+    np.testing.assert_allclose(changed[0, 1], [0.0, 0.16, 0.0], atol=1e-6)
+    assert not changed[0, [0, 2]].any()

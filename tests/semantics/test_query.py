@@ -198,6 +198,7 @@ def test_an_answer_contains_counts_areas_and_distances(room):
     assert values["objects"][0]["is_class"] is True
     assert reader(room).answer("sofa") == {
         "path": ["large items", "furnishings", "seating", "sofa"],
+        "metric": True,
         "gaussians": 0,
         "confidence": None,
         "floor_area_m2": 0.0,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit.cli.programs import CompareOptions
 from toolkit.evaluation.comparison import render_comparison, setting_rows
-from toolkit.exports.map_changes import changes_between
+from toolkit.exports.map_changes import changes_between, require_metres
 from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
@@ -47,9 +47,10 @@ def main(options: CompareOptions) -> int:
 def _compared_objects(options: CompareOptions) -> tuple[MapChanges, NDArray[np.float64]]:
     """Return the changed objects of the second run, and its pose in the first one."""
     selections = [select(path) for path in options.runs]
+    runs = [selection.run for selection in selections]
+    require_metres(*runs)  # before the search for a common frame
     T_before_after = np.eye(4)
     if not options.same_frame:
-        runs = [selection.run for selection in selections]
         T_before_after = relative_pose(runs[0], runs[1], options.registration)
     before, after = (map_scene(selection, ObjectGraphOptions()) for selection in selections)
     return changes_between(before, after, T_before_after), T_before_after

@@ -11,10 +11,11 @@ import numpy as np
 from toolkit.cli.map_programs import EditOptions
 from toolkit.io.atomic import cannot_write, write_bytes
 from toolkit.io.images import write_png
+from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.visualisation import Panel, colour_image, strip
 from toolkit.runs.editing import EditedMap, EditedView, Edits, Paint, Shift, edit, view_edit
-from toolkit.runs.labelled import LabelledRun, load_labelled_run
+from toolkit.runs.labelled import TAXONOMY, LabelledRun, load_labelled_run
 from toolkit.runs.lock import locked
 
 _HOLE_COLOUR = (255, 0, 200)
@@ -36,13 +37,15 @@ def main(options: EditOptions) -> int:
     with locked(options.out):
         renders = options.out / "renders"
         _create(renders)
-        write_splat_ply(options.out / "map.ply", edited.gaussians, edited.columns)
+        comments = labelled.run.map_comments
+        write_splat_ply(options.out / "map.ply", edited.gaussians, edited.columns, comments)
+        labelled.map.taxonomy.save(options.out / TAXONOMY)
         views = _write_views(options, labelled, edited, renders)
-        report = _report(edited, views)
+        report = {"metric": labelled.run.metric, **_report(edited, views)}
         write_bytes(options.out / "edit.json", (json.dumps(report, indent=1) + "\n").encode())
-    for line in _lines(report):
+    for line in _lines(report, labelled.run.length_names):
         print(line)
-    print(f"wrote map.ply, edit.json and {len(views)} view(s) to {options.out}")
+    print(f"wrote map.ply, {TAXONOMY}, edit.json and {len(views)} view(s) to {options.out}")
     return 0
 
 
@@ -99,7 +102,7 @@ def _report(edited: EditedMap, views: dict[int, EditedView]) -> dict[str, Any]:
     }
 
 
-def _lines(report: dict[str, Any]) -> list[str]:
+def _lines(report: dict[str, Any], names: LengthNames) -> list[str]:
     lines = [
         f"removed {report['removed']}, moved {report['moved']} and recoloured "
         f"{report['recoloured']} Gaussians; {report['gaussians']} are left"
@@ -109,10 +112,11 @@ def _lines(report: dict[str, Any]) -> list[str]:
         lines.append(
             f"holes: {report['hole_percent']:.2f} % of the pixels of the views, at most "
             f"{report['hole_percent_by_view'][worst]:.2f} % "
-            f"({report['hole_m2_by_view'][worst]:.2f} m2) in frame {worst}"
+            f"({report['hole_m2_by_view'][worst]:.2f} {names.area}) in frame {worst}"
         )
     elif report["hole_percent"] is not None:
         lines.append("holes: none in the rendered views")
     if report["floor_hole_m2"]:
-        lines.append(f"holes: {report['floor_hole_m2']:.2f} m2 of the floor are missing there")
-    return lines
+        area = f"{report['floor_hole_m2']:.2f} {names.area}"
+        lines.append(f"holes: {area} of the floor are missing there")
+    return [*lines, *(f"Note: {note}." for note in names.notes)]

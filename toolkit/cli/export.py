@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +18,11 @@ from toolkit.exports.selection import SelectedGaussians, select
 from toolkit.exports.surfaces import export_gltf, export_labelled_points, export_scene_splats
 from toolkit.exports.views import ViewExportOptions, export_colmap, export_nerfstudio
 from toolkit.io.meshes import write_mesh
+from toolkit.io.splat_placement import origin_comment, origin_in
 from toolkit.io.splat_scenes import SCENE_SUFFIXES
 from toolkit.io.splats import export_splats, is_splat_file, read_splats
 from toolkit.io.trajectories import write_tum
+from toolkit.runs.labelled import taxonomy_of_file
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
 from toolkit.viewer.html import link_from_report, write_page
 from toolkit.viewer.reading import run_scene
@@ -58,41 +60,38 @@ def _converted(options: ExportOptions) -> str:
             "--format splats without --keep and --drop, or a run folder"
         )
     splats = read_splats(options.run)
-    export_splats(options.to, splats, splats.extra, (), options.spz_version, splats.taxonomy)
+    taxonomy = taxonomy_of_file(options.run, splats)
+    tree = None if taxonomy is None else taxonomy.to_json()
+    if options.to.suffix not in SCENE_SUFFIXES:
+        _warn_of_origin(options, origin_comment(origin_in(splats.comments)))
+    export_splats(options.to, splats, splats.extra, splats.comments, options.spz_version, tree)
     return f"{len(splats)} Gaussians"
 
 
 def _splats(options: ExportOptions, selection: SelectedGaussians) -> str:
-    notes = selection.run.length_names.notes
+    comments = selection.run.map_comments
     if options.to.suffix in SCENE_SUFFIXES:
         # The transformation of the scene contains the origin.
-        export_scene_splats(options.to, selection, [*_origin(selection), *notes], options.floor)
+        export_scene_splats(options.to, selection, comments, options.floor)
     else:
-        comments = [*_left_origin(options, selection), *notes]
+        _warn_of_origin(options, origin_comment(selection.run.origin_m))
         version, tree = options.spz_version, selection.class_tree
         export_splats(options.to, selection.gaussians, selection.columns, comments, version, tree)
     return f"{len(selection.gaussians)} Gaussians"
 
 
-def _origin(selection: SelectedGaussians) -> list[str]:
-    """The origin of given poses as a comment; none if it is 0."""
-    if not selection.run.origin_m.any():
-        return []
-    return ["origin_m {:.3f} {:.3f} {:.3f}".format(*selection.run.origin_m)]
-
-
-def _left_origin(options: ExportOptions, selection: SelectedGaussians) -> list[str]:
-    """The origin that a file in single precision cannot hold, as a comment; none if it is 0."""
-    origin = _origin(selection)
-    if origin:
-        _log.warning("%s has single precision; add the %s to its positions", options.to, origin[0])
-    return origin
+def _warn_of_origin(options: ExportOptions, origin: Sequence[str]) -> None:
+    """Report the origin, if there is one, that a file in single precision cannot hold."""
+    for line in origin:
+        _log.warning("%s has single precision; add the %s to its positions", options.to, line)
 
 
 def _points(options: ExportOptions, selection: SelectedGaussians) -> str:
     # Open3D writes .pcd in single precision.
-    is_single = options.to.suffix == ".pcd" and bool(_left_origin(options, selection))
-    origin_m = np.zeros(3) if is_single else selection.run.origin_m
+    origin_m = selection.run.origin_m
+    if options.to.suffix == ".pcd":
+        _warn_of_origin(options, origin_comment(origin_m))
+        origin_m = np.zeros(3)
     return f"{write_opaque_points(options.to, selection.gaussians, origin_m)} points"
 
 

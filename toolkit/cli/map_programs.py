@@ -124,7 +124,7 @@ class EditOptions:
     run: Positional[Path]
     """Run folder."""
     out: Path
-    """Folder to write, new or empty: map.ply, edit.json and renders/."""
+    """Folder to write, new or empty: map.ply, taxonomy.yaml, edit.json and renders/."""
     remove: tuple[str, ...] = ()
     """Classes and groups to remove, named as for `semsplat query`."""
     keep: tuple[str, ...] = ()

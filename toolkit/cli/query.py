@@ -66,10 +66,7 @@ def main(options: QueryProgram) -> int:
         write_png(options.picture, image)
         _log.info("Wrote the picture to %s.", options.picture)
     if options.summary:
-        write_bytes(
-            options.summary,
-            (_json({"metric": labelled.run.metric, **reader.summary()}) + "\n").encode(),
-        )
+        write_bytes(options.summary, (_json(reader.summary()) + "\n").encode())
         _log.info("Wrote the scene to %s.", options.summary)
     return 0
 
@@ -111,6 +108,8 @@ def _search(options: QueryProgram) -> int:
         print("\n".join(_answer_lines(answer, run.length_names)))
     for ranking in found:
         print("\n".join(ranking_lines(ranking, run.length_names.length)))
+    for line in _note_lines(run.length_names):
+        print(line)
     return 0
 
 
@@ -132,6 +131,7 @@ def _reader(options: QueryProgram, labelled: LabelledRun) -> SceneReader:
         ObjectOptions(options.link_m, options.min_gaussians, options.min_confidence),
         poses[0 if options.distance_from == "first" else -1][:3, 3],
         options.floor or FLOOR_NAMES,
+        metric=labelled.run.metric,
     )
 
 
@@ -147,9 +147,13 @@ def _output_lines(options: QueryProgram, reader: SceneReader, names: LengthNames
         return
     for answer in answers:
         yield from _answer_lines(answer, names)
-    yield from (f"Note: {note}." for note in names.notes)
+    yield from _note_lines(names)
     if reader.ground is None:
         yield "No floor was found: bounding boxes are not aligned with the vertical."
+
+
+def _note_lines(names: LengthNames) -> Iterator[str]:
+    yield from (f"Note: {note}." for note in names.notes)
 
 
 def _tree_lines(tree: dict[str, Any]) -> Iterator[str]:

@@ -56,7 +56,8 @@ def main(options: RegisterOptions) -> int:
     for line in _lines(report, selection):
         print(line)
     _create_folder(options.out)
-    write_splat_ply(options.out / "map.ply", merged.gaussians, merged.columns())
+    columns = merged.columns()
+    write_splat_ply(options.out / "map.ply", merged.gaussians, columns, a.map_comments)
     if merged.instances is not None:
         write_instances(merged.instances, RunFolder(options.out), merged.taxonomy)
     if merged.taxonomy is not None:

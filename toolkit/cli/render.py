@@ -23,8 +23,8 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.pose_splines import pose_spline, thinned
 from toolkit.io.atomic import cannot_write
 from toolkit.io.images import write_png
-from toolkit.io.length_names import METRES, LengthNames
-from toolkit.io.splats import SUFFIXES, is_splat_file
+from toolkit.io.length_names import LengthNames
+from toolkit.io.splats import SUFFIXES, is_splat_file, read_splats
 from toolkit.io.trajectories import read_tum
 from toolkit.io.video_writing import write_video
 from toolkit.io.visualisation import (
@@ -40,7 +40,7 @@ from toolkit.io.visualisation import (
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.rendering.viewpoints import Viewpoint, overview
 from toolkit.runs.finished import FinishedRun, load_run
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.folder import cloud_of
 from toolkit.semantics.palette import Palette
 
 _log = logging.getLogger(__name__)
@@ -61,6 +61,7 @@ class _Map:
     """The map to render, and the run that created it if known.
 
     Attributes:
+        names: how lengths are written.
         labels: whether labels are rendered.
         instances: the map in the colours of its objects, None unless they are rendered.
     """
@@ -68,13 +69,9 @@ class _Map:
     gaussians: GaussianCloud
     run: FinishedRun | None
     backend_name: str
+    names: LengthNames
     labels: bool = False
     instances: InstanceColours | None = None
-
-    @property
-    def names(self) -> LengthNames:
-        """How lengths are written."""
-        return METRES if self.run is None else self.run.length_names
 
 
 @dataclass(frozen=True)
@@ -189,8 +186,10 @@ def _knots(options: RenderProgram, map_: _Map, camera: Camera) -> NDArray[np.flo
 def _load(options: RenderProgram) -> _Map:
     path, labels = options.map, bool(SEMANTIC_IMAGES & set(options.what))
     if is_splat_file(path):
-        cloud = read_cloud(path)
-        return _Map(cloud, None, "auto", instances=_instances(options, cloud, path, None))
+        splats = read_splats(path)
+        cloud, names = cloud_of(splats), LengthNames.of_comments(splats.comments)
+        instances = _instances(options, cloud, path, None)
+        return _Map(cloud, None, "auto", names, instances=instances)
     if not path.exists():
         raise DatasetError(
             f"{path} does not exist; give a run folder or a {', '.join(SUFFIXES)} file"
@@ -202,7 +201,8 @@ def _load(options: RenderProgram) -> _Map:
         )
     folder = run.folder
     instances = _instances(options, run.gaussians, folder.map, folder.objects)
-    return _Map(run.gaussians, run, run.settings.backend, labels, instances)
+    names = run.length_names
+    return _Map(run.gaussians, run, run.settings.backend, names, labels, instances)
 
 
 def _instances(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from toolkit.errors import SettingsError
 from toolkit.exports.mapped_scene import MappedScene
 from toolkit.geometry import se3
+from toolkit.runs.finished import FinishedRun
 from toolkit.runs.visibility import KeyframeViews
 from toolkit.semantics.changes import ComparedObject, MapChanges, Seen, compare_objects
 
@@ -25,12 +26,7 @@ def changes_between(
     Raises:
         SettingsError: a map has no known unit of length, so that places and sizes do not compare.
     """
-    for run in (before.selection.run, after.selection.run):
-        if not run.metric:
-            raise SettingsError(
-                f"run {run.folder.path.resolve().name} has lengths in arbitrary units, so its "
-                "objects cannot be compared; run SLAM again with --scale"
-            )
+    require_metres(before.selection.run, after.selection.run)
     T_after_before = se3.inverse(T_before_after)
     return compare_objects(
         _objects(before, np.eye(4)),
@@ -38,6 +34,20 @@ def changes_between(
         lambda points_m: _seen(before.views, points_m),
         lambda points_m: _seen(after.views, se3.transform_points(T_after_before, points_m)),
     )
+
+
+def require_metres(*runs: FinishedRun) -> None:
+    """Check that places and sizes in the maps of runs can be compared.
+
+    Raises:
+        SettingsError: a map has no known unit of length.
+    """
+    for run in runs:
+        if not run.metric:
+            raise SettingsError(
+                f"run {run.folder.path.resolve().name} has lengths in arbitrary units, so its "
+                "objects cannot be compared; run SLAM again with --scale"
+            )
 
 
 def _objects(scene: MappedScene, T: NDArray[np.float64]) -> list[ComparedObject]:

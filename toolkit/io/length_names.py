@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -14,6 +15,11 @@ class LengthNames:
     """
 
     metric: bool = True
+
+    @classmethod
+    def of_comments(cls, comments: Sequence[str]) -> LengthNames:
+        """How lengths of a file are written, which has `notes` as comments or is in metres."""
+        return cls(metric=set(comments).isdisjoint(cls(metric=False).notes))
 
     @property
     def length(self) -> str:

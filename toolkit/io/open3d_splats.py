@@ -34,8 +34,13 @@ def read_with_open3d(path: Path) -> Columns:
         ) from error
 
 
-def write_with_open3d(path: Path, columns: Columns) -> None:
+def write_with_open3d(path: Path, columns: Columns, header: str = "") -> None:
     """Write columns as the file format of the suffix, atomically.
+
+    Args:
+        path: the file.
+        columns: its columns.
+        header: lines for the header of a PLY, each after a line break.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -47,6 +52,9 @@ def write_with_open3d(path: Path, columns: Columns) -> None:
     with replacing(path) as temporary, _silent():
         if not o3d.t.io.write_point_cloud(str(temporary), cloud):
             raise RunFolderError(f"cannot write {path}: free space there, or allow writing")
+        if header:
+            head, start, rest = temporary.read_bytes().partition(b"\nelement ")
+            temporary.write_bytes(head + header.encode() + start + rest)
 
 
 @contextmanager

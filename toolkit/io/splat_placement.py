@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError
 from toolkit.geometry import se3
 from toolkit.geometry.harmonics import harmonic_rotation
+from toolkit.io.length_names import LengthNames
 from toolkit.io.splat_columns import CONSTANT_HARMONIC, Columns, harmonics_of
 from toolkit.io.splat_shapes import SplatShapes
 
@@ -25,6 +26,7 @@ HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 _SIMILARITY = 1e-4
 # Entries of transformations closer to an integer are that integer, so that axes are exact.
 _ROUNDING = 1e-9
+_ORIGIN = "origin_m "
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,13 @@ class SplatScene:
     comments: tuple[str, ...] = ()
     classes: Mapping[int, str] = field(default_factory=dict)
 
+    @classmethod
+    def of_comments(cls, comments: Sequence[str], classes: Mapping[int, str]) -> SplatScene:
+        """A scene with the axes of the map, placed and scaled as comments of the map say."""
+        T_scene_map = HALF_TURN @ se3.from_rotation_translation(np.eye(3), origin_in(comments))
+        metric = LengthNames.of_comments(comments).metric
+        return cls(T_scene_map, metric, tuple(comments), classes)
+
     @property
     def T_scene_file(self) -> NDArray[np.float64]:
         """Transformation [4, 4] of the node: splats are stored after a half turn about x.
@@ -52,6 +61,25 @@ class SplatScene:
         there is no transformation, and harmonics are exact in programs that do not rotate them.
         """
         return self.T_scene_map @ HALF_TURN
+
+
+def origin_comment(origin_m: NDArray[np.float64]) -> list[str]:
+    """The origin [3] of a map, in the coordinates of given poses, as a comment; none if it is 0."""
+    return [f"{_ORIGIN}{{:.3f}} {{:.3f}} {{:.3f}}".format(*origin_m)] if origin_m.any() else []
+
+
+def origin_in(comments: Sequence[str]) -> NDArray[np.float64]:
+    """The origin [3] that a comment of `origin_comment` contains; 0 without one."""
+    for line in comments:
+        words = line.removeprefix(_ORIGIN).split()
+        if line.startswith(_ORIGIN) and len(words) == 3:
+            try:
+                origin_m = np.array(words, np.float64)
+            except ValueError:
+                continue
+            if np.isfinite(origin_m).all():
+                return origin_m
+    return np.zeros(3)
 
 
 def linear_from_srgb(values: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.geometry.harmonics import HARMONIC_COUNTS
-from toolkit.io.atomic import write_bytes
-from toolkit.io.compressed_ply import MIP_COMMENT, unpacked_splats
+from toolkit.io.compressed_ply import unpacked_splats
 from toolkit.io.open3d_splats import write_with_open3d
 from toolkit.io.ply_elements import read_elements
 from toolkit.io.splat_columns import OWN_COLUMNS, Columns
@@ -24,6 +23,7 @@ from toolkit.io.splat_columns import OWN_COLUMNS, Columns
 # Comment in the header; see `Splats.pixel_filter`.
 FILTER_COMMENT = "pixel_filter 0.1 compensated"
 _MAX_HEADER = 8192
+_COMMENT = "comment "
 
 # The columns of several properties; all others are columns of their own.
 _JOINED = {
@@ -99,15 +99,11 @@ def write_ply(
             raise ValueError(f"{name} must have shape [{count}], got {list(values.shape)}")
         dtype = np.int32 if np.issubdtype(values.dtype, np.integer) else np.float32
         added[name] = values.astype(dtype)[:, None]
-    write_with_open3d(path, columns | added)
-    if comments:
-        head, _, rest = path.read_bytes().partition(b"\nelement ")
-        lines = "".join(f"\ncomment {line}" for line in comments).encode()
-        write_bytes(path, head + lines + b"\nelement " + rest)
+    write_with_open3d(path, columns | added, "".join(f"\n{_COMMENT}{line}" for line in comments))
 
 
-def is_filtered_ply(path: Path) -> bool:
-    """Whether a PLY has a comment that its splats were fitted with a filter of pixels."""
+def read_ply_comments(path: Path) -> list[str]:
+    """Return the comments in the header of a PLY."""
     with path.open("rb") as file:
-        header = file.read(_MAX_HEADER).partition(b"end_header")[0]
-    return any(comment.encode() in header for comment in (FILTER_COMMENT, MIP_COMMENT))
+        header = file.read(_MAX_HEADER).partition(b"end_header")[0].decode(errors="replace")
+    return [line[len(_COMMENT) :] for line in header.splitlines() if line.startswith(_COMMENT)]

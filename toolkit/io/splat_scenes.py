@@ -11,7 +11,6 @@ from toolkit.io.gltf import GLTF_SUFFIXES
 from toolkit.io.gltf_splats import read_gltf_comments, read_gltf_splats, write_gltf_splats
 from toolkit.io.splat_columns import Columns
 from toolkit.io.splat_placement import SplatScene
-from toolkit.io.splat_plys import FILTER_COMMENT
 from toolkit.io.usd_splats import USD_SUFFIXES, read_usd_comments, read_usd_splats, write_usd_splats
 
 SCENE_SUFFIXES = (*GLTF_SUFFIXES, *USD_SUFFIXES)
@@ -40,12 +39,7 @@ def read_splat_scene(path: Path) -> Columns:
     return read_usd_splats(path) if _is_usd(path) else read_gltf_splats(path)
 
 
-def is_filtered_scene(path: Path) -> bool:
-    """Whether the splats were fitted with a filter of pixels, see `Splats.pixel_filter`."""
-    return FILTER_COMMENT in _comments(path)
-
-
-def _comments(path: Path) -> list[str]:
+def read_scene_comments(path: Path) -> list[str]:
     """Return the comments of a file of `write_splat_scene`; none for files of other programs."""
     return read_usd_comments(path) if _is_usd(path) else read_gltf_comments(path)
 

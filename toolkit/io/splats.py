@@ -36,10 +36,10 @@ from toolkit.io.splat_columns import (
 )
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.io.splat_placement import SplatScene
-from toolkit.io.splat_plys import FILTER_COMMENT, is_filtered_ply, read_ply, write_ply
+from toolkit.io.splat_plys import FILTER_COMMENT, read_ply, read_ply_comments, write_ply
 from toolkit.io.splat_scenes import (
     SCENE_SUFFIXES,
-    is_filtered_scene,
+    read_scene_comments,
     read_splat_scene,
     write_splat_scene,
 )
@@ -61,12 +61,17 @@ _READERS: dict[str, Callable[[Path], Columns]] = {
 _READERS_BY_NAME = {"meta.json": read_sog}
 # Formats that say whether splats were fitted with a filter of pixels, see `Splats.pixel_filter`.
 _IS_FILTERED: dict[str, Callable[[Path], bool]] = {
-    _PLY: is_filtered_ply,
     _SPZ: is_filtered_spz,
     ".sog": is_filtered_sog,
     ".json": is_filtered_sog,
-    **dict.fromkeys(SCENE_SUFFIXES, is_filtered_scene),
 }
+# Formats with comments, which say the same.
+_COMMENTS: dict[str, Callable[[Path], list[str]]] = {
+    _PLY: read_ply_comments,
+    **dict.fromkeys(SCENE_SUFFIXES, read_scene_comments),
+}
+_FILTER_COMMENTS = (FILTER_COMMENT, MIP_COMMENT)
+_WRITER_COMMENT = "Created by Open3D"
 # Formats that quantise; the last argument is whether splats were fitted with a filter of pixels.
 # They have no room for labels, which are written to a file beside them.
 _WRITERS: dict[str, Callable[[Path, Columns, bool], Order]] = {
@@ -102,6 +107,7 @@ class Splats:
         pixel_filter: whether the file says that its ellipsoids were fitted with the filter of
             pixels of semsplat and Mip-Splatting, and not with that of 3DGS.
         taxonomy: JSON values of the class tree, from a file of labels beside the splats.
+        comments: lines of the file, such as `origin_m`, without those of the filter and Open3D.
     """
 
     means: NDArray[np.float32]
@@ -112,6 +118,7 @@ class Splats:
     ellipsoids: SplatShapes | None = None
     pixel_filter: bool = False
     taxonomy: dict[str, Any] | None = None
+    comments: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.means)
@@ -171,7 +178,8 @@ def export_splats(
         extra: additional columns [N] by name.
         comments: lines for the header of a `.ply` and the notes of a scene.
         spz_version: version of a `.spz` file; more viewers read the versions 2 and 3 than 4.
-        taxonomy: JSON values of the class tree, for the file of labels.
+        taxonomy: JSON values of the class tree, for the file of labels, and for the class names
+            of a scene.
 
     Raises:
         ValueError: the suffix is not supported.
@@ -184,7 +192,8 @@ def export_splats(
         write_splat_ply(path, splats, extra, [*comments, *mip])
         return
     if suffix in SCENE_SUFFIXES:
-        export_splat_scene(path, splats, extra, SplatScene(comments=tuple(comments)))
+        classes = {} if taxonomy is None else dict(enumerate(taxonomy["classes"], start=1))
+        export_splat_scene(path, splats, extra, SplatScene.of_comments(comments, classes))
         return
     if suffix not in _WRITERS:
         raise ValueError(f"{path} must end in one of {', '.join(WRITTEN_SUFFIXES)}")
@@ -252,6 +261,9 @@ def read_splats(path: PathLike) -> Splats:
     if beside is not None:
         columns |= {name: column[:, None] for name, column in beside.columns.items()}
     columns = checked(path, columns)
+    suffix = path.suffix.lower()
+    comments = _COMMENTS.get(suffix, lambda _: [])(path)
+    is_filtered = _IS_FILTERED.get(suffix, lambda _: not set(comments).isdisjoint(_FILTER_COMMENTS))
     return Splats(
         means=columns["positions"].astype(np.float32),
         log_radii=np.log(columns["scale"]).mean(axis=1).astype(np.float32),
@@ -263,8 +275,9 @@ def read_splats(path: PathLike) -> Splats:
             if name not in OWN_COLUMNS and column.shape[1:] == (1,)
         },
         ellipsoids=shapes_of(path, columns),
-        pixel_filter=_IS_FILTERED.get(path.suffix.lower(), lambda _: False)(path),
+        pixel_filter=is_filtered(path),
         taxonomy=None if beside is None else beside.taxonomy,
+        comments=tuple(x for x in comments if x not in (*_FILTER_COMMENTS, _WRITER_COMMENT)),
     )
 
 

@@ -96,6 +96,7 @@ def edit(labelled: LabelledRun, edits: Edits) -> EditedMap:
     if removed.all():
         raise ToolkitError(f"the edits remove all Gaussians of {run.folder.path}")
     means, colours = run.gaussians.means.clone(), run.gaussians.colours.clone()
+    ellipsoids = run.gaussians.ellipsoids
     moved, recoloured = np.zeros_like(removed), np.zeros_like(removed)
     R_map_first = run.tracked[0].T_map_camera[:3, :3] if run.tracked else np.eye(3)
     for shift in edits.shifts:
@@ -106,10 +107,15 @@ def edit(labelled: LabelledRun, edits: Edits) -> EditedMap:
     for paint in edits.paints:
         mask = selected([paint.name])
         index = torch.from_numpy(mask)
+        if ellipsoids is not None:
+            harmonics = ellipsoids.harmonics.clone()
+            harmonics[index] = painted_harmonics(harmonics[index], colours[index], paint.rgb)
+            ellipsoids = replace(ellipsoids, harmonics=harmonics)
         colours[index] = painted(colours[index], paint.rgb)
         recoloured |= mask
     kept = torch.from_numpy(~removed)
-    gaussians = replace(run.gaussians, means=means, colours=colours).select(kept)
+    changed = replace(run.gaussians, means=means, colours=colours, ellipsoids=ellipsoids)
+    gaussians = changed.select(kept)
     extra = read_splats(run.folder.map).extra
     return EditedMap(
         gaussians,
@@ -124,8 +130,26 @@ def edit(labelled: LabelledRun, edits: Edits) -> EditedMap:
 def painted(colours: torch.Tensor, rgb: tuple[float, float, float]) -> torch.Tensor:
     """Return colours [N, 3] of a new hue whose brightness varies as that of the old ones."""
     brightness = colours.mean(dim=1, keepdim=True)
-    shading = brightness / brightness.median().clamp(min=1e-3)
+    shading = brightness / _typical_brightness(colours)
     return (shading * torch.tensor(rgb, dtype=colours.dtype)).clamp(0.0, 1.0)
+
+
+def painted_harmonics(
+    harmonics: torch.Tensor, colours: torch.Tensor, rgb: tuple[float, float, float]
+) -> torch.Tensor:
+    """Return harmonics [N, K, 3] of a new hue, with which brightness depends on the view as before.
+
+    Args:
+        harmonics: the old ones.
+        colours: [N, 3] the old colours.
+        rgb: the new hue.
+    """
+    shading = harmonics.mean(dim=2, keepdim=True) / _typical_brightness(colours)
+    return shading * torch.tensor(rgb, dtype=harmonics.dtype)
+
+
+def _typical_brightness(colours: torch.Tensor) -> torch.Tensor:
+    return colours.mean(dim=1).median().clamp(min=1e-3)
 
 
 def _floor_hole_m2(

@@ -21,6 +21,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.length_names import LengthNames
+from toolkit.io.splat_placement import origin_comment
 from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.frame_records import read_part, read_state
@@ -93,6 +94,11 @@ class FinishedRun:
     def length_names(self) -> LengthNames:
         """How lengths of the map are written."""
         return LengthNames(self.metric)
+
+    @property
+    def map_comments(self) -> tuple[str, ...]:
+        """Comments of a file of the map: its origin unless it is 0, and what its lengths are."""
+        return (*origin_comment(self.origin_m), *self.length_names.notes)
 
     @property
     def T_given_map(self) -> NDArray[np.float64]:

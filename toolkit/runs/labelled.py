@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError, ToolkitError
-from toolkit.io.splats import read_splats
+from toolkit.io.label_files import label_file_of
+from toolkit.io.splats import Splats, read_splats
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.semantics.lexicon.matching import Match, selected_nodes
-from toolkit.semantics.query import LabelledMap
+from toolkit.semantics.query import LabelledMap, check_labels
 from toolkit.semantics.taxonomy import VOID_NAME, Taxonomy
 
 TAXONOMY = "taxonomy.yaml"
@@ -112,3 +113,32 @@ def label(run: FinishedRun) -> LabelledRun:
         return LabelledRun(run, LabelledMap(means_m, labels, Taxonomy.load(file), axes_m))
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from error
+
+
+def taxonomy_of_file(path: Path, splats: Splats) -> Taxonomy | None:
+    """Return the class tree of the labels of a splat file.
+
+    It is stored with the labels, or in the folder of the file, as in a run folder.
+
+    Args:
+        path: the splat file.
+        splats: its content.
+
+    Returns:
+        None if the file has no labels, or if their tree is unknown.
+
+    Raises:
+        FormatError: the tree is damaged, or is not that of the labels.
+    """
+    file, labels = path.resolve().parent / TAXONOMY, splats.labels
+    if labels is None or (splats.taxonomy is None and not file.is_file()):
+        return None
+    if splats.taxonomy is not None:
+        taxonomy = Taxonomy.from_json(splats.taxonomy, str(label_file_of(path)))
+    else:
+        taxonomy = Taxonomy.load(file)
+    try:
+        check_labels(labels, taxonomy)
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from error
+    return taxonomy

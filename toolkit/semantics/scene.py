@@ -36,6 +36,7 @@ class SceneReader:
         viewpoint_m: [3], point from which distances are measured.
         floor: classes and groups of the floor; names that are not in the tree are ignored.
         known_ground: the plane of the floor if it is known; by default it is fitted.
+        metric: whether lengths are in metres; otherwise their unit is arbitrary.
     """
 
     map: LabelledMap
@@ -43,6 +44,7 @@ class SceneReader:
     viewpoint_m: NDArray[np.float64]
     floor: Sequence[str] = FLOOR_NAMES
     known_ground: Ground | None = None
+    metric: bool = True
 
     @functools.cached_property
     def ground(self) -> Ground | None:
@@ -76,6 +78,7 @@ class SceneReader:
         reason = {"asked": text, "paths": paths, "explanation": meant.explanation}
         return {
             "path": _shared(paths),
+            "metric": self.metric,
             **(reason if meant.explanation else {}),
             "gaussians": int(members.sum()),
             "confidence": self._confidence(members),
@@ -96,6 +99,7 @@ class SceneReader:
         taxonomy = self.map.taxonomy
         objects = self.map.objects(None, self.ground, self.options)
         return {
+            "metric": self.metric,
             "taxonomy": {
                 "name": taxonomy.name,
                 "digest": taxonomy.digest,

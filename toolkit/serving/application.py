@@ -61,7 +61,7 @@ def build_application(
 
     @app.get("/", response_class=HTMLResponse, include_in_schema=False)
     async def listing() -> str:
-        return listing_page(run.name, _listed(app.routes))
+        return listing_page(run.name, run.length_names, _listed(app.routes))
 
     _add_checks(app, limits, local)
     _add_errors(app)
@@ -73,7 +73,7 @@ def _add_values(app: FastAPI, run: ServedRun, computations: Computations) -> Non
 
     @app.get("/run")
     async def describe_run() -> dict[str, Any]:
-        """Sizes, camera and levels of the class tree."""
+        """Sizes, camera, unit of length (`metric`) and levels of the class tree."""
         return run.description()
 
     @app.get("/poses")
@@ -116,7 +116,7 @@ def _add_pictures(app: FastAPI, run: ServedRun, computations: Computations) -> N
 
     @app.post("/render", response_class=Response, responses=_PNG)
     async def render(request: RenderRequest) -> Response:
-        """A view from any pose as PNG: colour, classes, or depth (16 bits, millimetres)."""
+        """A view from any pose as PNG: colour, classes, or depth (16 bits, 1/1000 of the unit)."""
         return await rendered(request)
 
     @app.get("/keyframes/{number}.png", response_class=Response, responses=_PNG)

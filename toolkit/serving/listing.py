@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import jinja2
 
 from toolkit import __version__
+from toolkit.io.length_names import LengthNames
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ pre { background: #8882; padding: 10px 14px; border-radius: 6px; white-space: pr
 </head>
 <body>
 <h1>{{ name }}</h1>
-<p>A finished run of semsplat {{ version }}. Lengths are in metres, poses are T_map_camera (x right,
-y down, z forward), quaternions are x y z w.</p>
+<p>A finished run of semsplat {{ version }}. Lengths are in {{ "metres" if metric
+else "an arbitrary unit" }}, poses are T_map_camera (x right, y down, z forward), quaternions are x y z w.</p>
 <table>
 {% for item in paths %}
 <tr><td>{{ item.method }}</td>
@@ -57,7 +58,9 @@ curl http://127.0.0.1:8000/render -o view.png -H 'Content-Type: application/json
 """
 
 
-def listing_page(name: str, paths: Sequence[Listed]) -> str:
+def listing_page(name: str, lengths: LengthNames, paths: Sequence[Listed]) -> str:
     """Return the page of a run with the paths of its service."""
     environment = jinja2.Environment(autoescape=True, trim_blocks=True)
-    return environment.from_string(_PAGE).render(name=name, version=__version__, paths=paths)
+    return environment.from_string(_PAGE).render(
+        name=name, metric=lengths.metric, version=__version__, paths=paths
+    )

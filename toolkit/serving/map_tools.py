@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import SettingsError, ToolkitError
-from toolkit.exports.map_changes import changes_between
+from toolkit.exports.map_changes import changes_between, require_metres
 from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
@@ -257,6 +257,7 @@ class MapTools:
             )
         try:
             selection = select(earlier.earlier)
+            require_metres(selection.run, self._scene.selection.run)
             T_before_after = np.eye(4)
             if not earlier.same_frame:
                 run = self._scene.selection.run

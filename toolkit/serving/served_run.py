@@ -22,6 +22,7 @@ from toolkit.exports.selection import SelectedGaussians, select
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import encode_png
+from toolkit.io.length_names import LengthNames
 from toolkit.io.visualisation import colour_image
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.runs.finished import FinishedRun
@@ -88,6 +89,11 @@ class ServedRun:
         """Name of the run folder."""
         return self._run.folder.path.resolve().name
 
+    @property
+    def length_names(self) -> LengthNames:
+        """How lengths of the map are written."""
+        return self._run.length_names
+
     def description(self) -> dict[str, Any]:
         """Return sizes, camera and class tree of the run."""
         camera, taxonomy = self._camera, self._run.taxonomy
@@ -101,6 +107,8 @@ class ServedRun:
                 "width": camera.width,
                 "height": camera.height,
             },
+            "metric": self._run.metric,
+            "map_origin_m": self._run.origin_m.tolist(),
             "depth_scale": DEPTH_SCALE,
             "max_pixels": self._max_pixels,
             "levels": [] if taxonomy is None else list(taxonomy.levels),
@@ -168,7 +176,7 @@ class ServedRun:
         """Render a view and return it as PNG.
 
         Colour and classes have 8 bits per channel; depth has 16 bits, in units of 1 / DEPTH_SCALE
-        metres, 0 where there is no surface.
+        of the map's unit of length, 0 where there is no surface.
 
         Raises:
             NotAvailableError: there is no such keyframe, or the map has no semantics or no such
@@ -228,7 +236,8 @@ class ServedRun:
             labelled = self._selection.labelled()
         except RunFolderError as error:
             raise NotAvailableError(self.without_path(error)) from error
-        return SceneReader(labelled, options, self._run.tracked[0].T_map_camera[:3, 3])
+        viewpoint_m = self._run.tracked[0].T_map_camera[:3, 3]
+        return SceneReader(labelled, options, viewpoint_m, metric=self._run.metric)
 
     def _camera_of(self, request: RenderRequest) -> Camera:
         camera = self._camera

@@ -9,17 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError, RunFolderError
+from toolkit.errors import RunFolderError
 from toolkit.evaluation.frame_states import summary_lines
 from toolkit.evaluation.run_loops import accepted_edges
 from toolkit.exports.selection import SelectedGaussians, ground_of, select
-from toolkit.io.label_files import label_file_of
+from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import Splats, is_splat_file, read_splats
 from toolkit.loops.log import read_loop_log
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
-from toolkit.semantics.query import check_labels
-from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.runs.labelled import taxonomy_of_file
 from toolkit.viewer.keyframes import shown_keyframes
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.scene import ShownLoop, ShownSplats, ShownTree, ViewerScene, path_states
@@ -104,12 +103,16 @@ def file_scene(path: Path) -> ViewerScene:
     """Describe all of a splat file, with classes if its labels have a taxonomy or one is beside."""
     splats = read_splats(path)
     shown = _file_splats(splats)
-    tree = _tree_of(path, splats)
+    taxonomy = taxonomy_of_file(path, splats)
+    tree = None if taxonomy is None else ShownTree.from_taxonomy(taxonomy)
     if tree is None:
         shown = ShownSplats(
             **{k: v for k, v in shown.columns().items() if k not in ("levels", "confidence")}
         )
-    return ViewerScene(path.name, shown, len(splats), tree=tree)
+    names = LengthNames.of_comments(splats.comments)
+    return ViewerScene(
+        path.name, shown, len(splats), tree=tree, notes=names.notes, length=names.length
+    )
 
 
 def _file_splats(splats: Splats) -> ShownSplats:
@@ -126,22 +129,6 @@ def _file_splats(splats: Splats) -> ShownSplats:
         confidence=None if labels is None else labels.confidence,
         submap=None if submap is None else submap.astype(np.int32),
     )
-
-
-def _tree_of(path: Path, splats: Splats) -> ShownTree | None:
-    """Return the class tree of the labels, or of the run folder that the file lies in, or None."""
-    file, labels = path.resolve().parent / "taxonomy.yaml", splats.labels
-    if labels is None or (splats.taxonomy is None and not file.is_file()):
-        return None
-    if splats.taxonomy is not None:
-        taxonomy = Taxonomy.from_json(splats.taxonomy, str(label_file_of(path)))
-    else:
-        taxonomy = Taxonomy.load(file)
-    try:
-        check_labels(labels, taxonomy)
-    except FormatError as error:
-        raise FormatError(f"{path}: {error}") from error
-    return ShownTree.from_taxonomy(taxonomy)
 
 
 def _up(run: FinishedRun) -> NDArray[np.float64]:
