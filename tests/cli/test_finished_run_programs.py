@@ -193,4 +193,4 @@ def test_the_map_of_a_folder_that_is_no_run_is_named(run, tmp_path, capsys):
     (tmp_path / "edited").mkdir()
     file = (run / "map.ply").rename(tmp_path / "edited/map.ply")
     line = one_line_of_error(capsys, "query", tmp_path / "edited", "chair")
-    assert f"view and export take {file}" in line
+    assert f"export and run --map take {file}" in line

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.gaussians.cloud import NO_LOW_PASS, PARAMETERS, PIXEL_FILTER, GaussianCloud
 from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.geometry import se3
 
@@ -119,6 +119,16 @@ def test_operations_keep_how_colours_were_fitted() -> None:
     ):
         assert result.centred_colours
     assert not GaussianCloud.concatenate([cloud, GaussianCloud.empty()]).centred_colours
+
+
+def test_spheres_do_not_decide_the_low_pass_of_ellipsoids() -> None:
+    """Maps of both kinds are merged: ellipsoids look wrong with another filter, spheres do not."""
+    spheres = random_cloud(count=2)
+    shapes = Ellipsoids.spheres(spheres.log_radii)
+    ellipsoids = replace(spheres, ellipsoids=shapes, low_pass=PIXEL_FILTER)
+    for clouds in ([spheres, ellipsoids], [ellipsoids, spheres]):
+        assert GaussianCloud.concatenate(clouds).pixel_filter
+    assert GaussianCloud.concatenate([spheres, spheres]).low_pass == NO_LOW_PASS
 
 
 def test_a_flat_ellipsoid_is_seen_as_large_as_it_is():

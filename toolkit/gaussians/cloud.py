@@ -141,17 +141,18 @@ class GaussianCloud:
     def concatenate(cls, clouds: list[GaussianCloud]) -> GaussianCloud:
         """Concatenate several clouds in order; colours are centred if all of them are.
 
-        With ellipsoids among them, all become ellipsoids. The first cloud decides the low-pass.
+        With ellipsoids among them, all become ellipsoids. The first cloud of ellipsoids, or else of
+        all, decides the low-pass: spheres are mapped without one.
         """
         tensors = {name: torch.cat([getattr(c, name) for c in clouds]) for name in PARAMETERS}
-        ellipsoids = None
-        if any(cloud.ellipsoids is not None for cloud in clouds):
+        ellipsoids, shaped = None, [cloud for cloud in clouds if cloud.ellipsoids is not None]
+        if shaped:
             ellipsoids = Ellipsoids.concatenate([cloud.as_ellipsoids() for cloud in clouds])
         return cls(
             **tensors,
             centred_colours=all(cloud.centred_colours for cloud in clouds),
             ellipsoids=ellipsoids,
-            low_pass=clouds[0].low_pass,
+            low_pass=(shaped or clouds)[0].low_pass,
         )
 
     def as_ellipsoids(self) -> Ellipsoids:

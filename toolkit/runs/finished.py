@@ -96,6 +96,16 @@ class FinishedRun:
         return LengthNames(self.metric)
 
     @property
+    def descriptor_remedy(self) -> str:
+        """What to do about keyframes without descriptors for place recognition."""
+        if self.settings.loops.use:
+            return (
+                "runs with --depth none or --poses given compute none; run SLAM again with depth "
+                "and tracked poses"
+            )
+        return "run SLAM again with --loops.use"
+
+    @property
     def map_comments(self) -> tuple[str, ...]:
         """Comments of a file of the map: its origin unless it is 0, and what its lengths are."""
         return (*origin_comment(self.origin_m), *self.length_names.notes)

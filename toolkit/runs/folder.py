@@ -126,8 +126,10 @@ class RunFolder:
         folder = cls(path)
         if path.is_file():
             raise RunFolderError(f"{path} is a file; give the folder of a run")
+        if not path.exists():
+            raise RunFolderError(f"{path} contains no run: it does not exist; check the path")
         if not folder.config.is_file():
-            remedy = f"; render, view and export take {folder.map}" * folder.map.is_file()
+            remedy = f"; render, view, export and run --map take {folder.map}" * folder.map.is_file()
             raise RunFolderError(f"{path} contains no run: config.yaml is missing{remedy}")
         return folder
 

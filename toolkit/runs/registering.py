@@ -118,7 +118,7 @@ def _check_descriptors(
         if not length:
             raise SettingsError(
                 f"the keyframes of {run.folder.path} have no descriptors for place recognition; "
-                "run SLAM again with --loops.use"
+                f"{run.descriptor_remedy}"
             )
         lengths.append(length)
     features_a, features_b = a.settings.loops.features, b.settings.loops.features

@@ -79,8 +79,8 @@ def open_saved_map(settings: RunSettings, dataset: Dataset | None) -> SavedMap |
 def _check_descriptors(saved: FinishedRun, settings: RunSettings) -> None:
     if not all(submap.descriptors.size for submap in saved.submaps.values()):
         raise SettingsError(
-            f"map {settings.map}: the keyframes have no descriptors for place recognition; create "
-            "this map again with loops.use"
+            f"map {settings.map}: the keyframes have no descriptors for place recognition; "
+            f"{saved.descriptor_remedy}"
         )
     current, stored = settings.loops.features, saved.settings.loops.features
     if current != stored:
