@@ -175,6 +175,12 @@ def without_descriptors(run: Path) -> None:
     write_array_tree(folder, kept.arrays | bare, kept.metadata)
 
 
+def without_loops(run: Path) -> None:
+    without_descriptors(run)
+    config = run / "config.yaml"
+    config.write_text(config.read_text().replace("loops:\n  use: true", "loops:\n  use: false"))
+
+
 def with_other_descriptors(run: Path) -> None:
     config = run / "config.yaml"
     config.write_text(config.read_text().replace("kind: vlad", "kind: dinov2"))
@@ -190,7 +196,8 @@ def with_a_damaged_submap(run: Path) -> None:
     [
         (without_submaps, "run again"),
         (without_list_of_submaps, "run again"),
-        (without_descriptors, "--loops.use"),
+        (without_descriptors, "--depth none or --poses given"),
+        (without_loops, "--loops.use"),
         (with_other_descriptors, "loops.features.kind dinov2"),
         (with_a_damaged_submap, "damaged"),
     ],

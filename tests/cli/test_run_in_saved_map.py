@@ -140,7 +140,7 @@ def test_every_pose_says_how_sure_it_is(extended):
     ("damage", "said"),
     [
         (without_submaps, "run again"),
-        (without_descriptors, "loops.use"),
+        (without_descriptors, "--depth none or --poses given"),
         (other_tree, "semantics.taxonomy"),
     ],
 )
