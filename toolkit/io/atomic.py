@@ -8,7 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from toolkit.errors import RunFolderError
+from toolkit.errors import RunFolderError, ToolkitError
+
+# Bytes by which a file must be able to grow: more than the blocks of a file system.
+_PROBE = 1 << 16
 
 
 @contextmanager
@@ -30,12 +33,22 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
+        _check_room(temporary)
         # mkstemp creates private files; results get the default permissions.
         temporary.chmod(0o666 & ~_umask())
         sync(temporary)
         os.replace(temporary, path)
     except OSError as error:
         raise cannot_write(path, error) from error
+    except ToolkitError:
+        raise
+    except Exception as error:
+        # Libraries have errors of their own for a full disk.
+        try:
+            _check_room(temporary)
+        except OSError as full:
+            raise cannot_write(path, full) from error
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -48,6 +61,22 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """
     with replacing(path) as temporary:
         temporary.write_bytes(content)
+
+
+def _check_room(path: Path) -> None:
+    """Check that a file can grow, because some libraries truncate files silently on a full disk.
+
+    Raises:
+        OSError: it cannot: the disk is full, or a quota or limit is reached.
+    """
+    with path.open("r+b", buffering=0) as file:
+        size = file.seek(0, os.SEEK_END)
+        try:
+            missing = _PROBE
+            while missing > 0:
+                missing -= file.write(bytes(missing)) or 0
+        finally:
+            file.truncate(size)
 
 
 def sync(path: Path) -> None:

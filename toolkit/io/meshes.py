@@ -16,6 +16,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing
+from toolkit.io.process_streams import silenced
 
 PathLike = str | os.PathLike[str]
 
@@ -123,7 +124,7 @@ def write_mesh(
         o3d.utility.Vector3iVector(mesh.triangles),
     )
     surface.vertex_colors = o3d.utility.Vector3dVector(mesh.colours.astype(np.float64))
-    with replacing(path) as temporary:
+    with replacing(path) as temporary, silenced():
         _must(o3d.io.write_triangle_mesh(str(temporary), surface))
 
 
@@ -143,7 +144,7 @@ def write_points(path: PathLike, points_m: NDArray, colours: NDArray) -> None:
     o3d = open3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m.astype(np.float64)))
     cloud.colors = o3d.utility.Vector3dVector(np.clip(colours, 0.0, 1.0).astype(np.float64))
-    with replacing(path) as temporary:
+    with replacing(path) as temporary, silenced():
         _must(o3d.io.write_point_cloud(str(temporary), cloud))
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +9,7 @@ import numpy as np
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing
-from toolkit.io.process_streams import STDERR, STDOUT, diverted
+from toolkit.io.process_streams import silenced
 from toolkit.io.splat_columns import Columns
 
 
@@ -23,7 +20,7 @@ def read_with_open3d(path: Path) -> Columns:
         FormatError: Open3D cannot read it.
     """
     try:
-        with _silent():
+        with silenced():
             point = open3d().t.io.read_point_cloud(str(path)).point
         # Every array is copied: if one of Open3D's own still exists at the end of the process,
         # Open3D prints statistics of its memory and changes the exit status to 1.
@@ -49,19 +46,12 @@ def write_with_open3d(path: Path, columns: Columns, header: str = "") -> None:
     cloud = o3d.t.geometry.PointCloud()
     for name, values in columns.items():
         cloud.point[name] = o3d.core.Tensor(np.ascontiguousarray(values))
-    with replacing(path) as temporary, _silent():
+    with replacing(path) as temporary, silenced():
         if not o3d.t.io.write_point_cloud(str(temporary), cloud):
             raise RunFolderError(f"cannot write {path}: free space there, or allow writing")
         if header:
             head, start, rest = temporary.read_bytes().partition(b"\nelement ")
             temporary.write_bytes(head + header.encode() + start + rest)
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Discard what the libraries in Open3D print to stdout and stderr of the process."""
-    with Path(os.devnull).open("wb") as nowhere, diverted((STDOUT, STDERR), nowhere.fileno()):
-        yield
 
 
 def _first_line(error: Exception) -> str:

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 STDOUT, STDERR = 1, 2
 
@@ -31,3 +32,10 @@ def diverted(streams: Sequence[int], target: int) -> Iterator[None]:
         for number, copy in kept.items():
             os.dup2(copy, number)
             os.close(copy)
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Discard what libraries print to stdout and stderr of the process."""
+    with Path(os.devnull).open("wb") as nowhere, diverted((STDOUT, STDERR), nowhere.fileno()):
+        yield
