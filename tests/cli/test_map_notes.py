@@ -69,9 +69,7 @@ def test_conversions_keep_origin_and_unit(noted_run, tmp_path, caplog):
     np.testing.assert_allclose(np.array(extras["T_gltf_map"])[:3, 3], UTM * (1, -1, -1))
 
 
-def test_answers_as_json_say_whether_lengths_are_metres(
-    noted_run, labelled_run, tmp_path, capsys
-):
+def test_answers_as_json_say_whether_lengths_are_metres(noted_run, labelled_run, tmp_path, capsys):
     """Programs do not read the note below the table."""
     for run, metric in ((noted_run, False), (labelled_run, True)):
         summary = tmp_path / "scene.json"

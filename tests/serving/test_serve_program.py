@@ -128,7 +128,8 @@ def test_damaged_runs_and_those_of_other_versions_are_rejected(tiny_run, tmp_pat
     # As if a resumed run were writing its results.
     (run / "frames.json").write_text(json.dumps(frames | {"frames": frames["frames"][:-1]}))
     assert "frames.json" in error_line(capsys, run, "--port", 0)
-    assert "contains no run: it does not exist" in error_line(capsys, tmp_path / "nothing", "--port", 0)
+    line = error_line(capsys, tmp_path / "nothing", "--port", 0)
+    assert "contains no run: it does not exist" in line
 
 
 def test_missing_packages_are_named(tiny_run: Path, capsys, monkeypatch):

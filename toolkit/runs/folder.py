@@ -129,7 +129,8 @@ class RunFolder:
         if not path.exists():
             raise RunFolderError(f"{path} contains no run: it does not exist; check the path")
         if not folder.config.is_file():
-            remedy = f"; render, view, export and run --map take {folder.map}" * folder.map.is_file()
+            uses = f"; render, view, export and run --map take {folder.map}"
+            remedy = uses if folder.map.is_file() else ""
             raise RunFolderError(f"{path} contains no run: config.yaml is missing{remedy}")
         return folder
 

@@ -37,7 +37,8 @@ pre { background: #8882; padding: 10px 14px; border-radius: 6px; white-space: pr
 <body>
 <h1>{{ name }}</h1>
 <p>A finished run of semsplat {{ version }}. Lengths are in {{ "metres" if metric
-else "an arbitrary unit" }}, poses are T_map_camera (x right, y down, z forward), quaternions are x y z w.</p>
+else "an arbitrary unit" }}, poses are T_map_camera (x right, y down, z forward), quaternions are
+x y z w.</p>
 <table>
 {% for item in paths %}
 <tr><td>{{ item.method }}</td>
