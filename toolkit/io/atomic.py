@@ -15,11 +15,16 @@ _PROBE = 1 << 16
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+def replacing(path: str | os.PathLike[str], size: int = 0) -> Iterator[Path]:
     """Yield a temporary file that replaces `path` when the block ends without an exception.
 
     The temporary file is in the same folder and has the suffix of `path`, because some writers
     choose the format by the suffix.
+
+    Args:
+        path: the file.
+        size: number of bytes that must be free before the block starts, for libraries that crash
+            on a full disk.
 
     Raises:
         RunFolderError: the file cannot be written (disk full, no permission, no folder).
@@ -32,6 +37,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise cannot_write(path, error) from error
     temporary = Path(name)
     try:
+        _check_room(temporary, size)
         yield temporary
         _check_room(temporary)
         # mkstemp creates private files; results get the default permissions.
@@ -63,8 +69,12 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
         temporary.write_bytes(content)
 
 
-def _check_room(path: Path) -> None:
+def _check_room(path: Path, more: int = 0) -> None:
     """Check that a file can grow, because some libraries truncate files silently on a full disk.
+
+    Args:
+        path: the file.
+        more: number of bytes beside those that every file must be able to grow by.
 
     Raises:
         OSError: it cannot: the disk is full, or a quota or limit is reached.
@@ -72,6 +82,9 @@ def _check_room(path: Path) -> None:
     with path.open("r+b", buffering=0) as file:
         size = file.seek(0, os.SEEK_END)
         try:
+            if more and hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), size, more)
+                file.seek(0, os.SEEK_END)
             missing = _PROBE
             while missing > 0:
                 missing -= file.write(bytes(missing)) or 0

@@ -29,6 +29,8 @@ _BLOCK_EDGE = 16
 _FIRST_BLOCKS = 2000
 # Pixel stride, in rows and columns, with which Open3D samples depth to allocate blocks.
 _STRIDE = 4
+# Sizes in files: three doubles and a colour; a count and three indices.
+_VERTEX_BYTES, _TRIANGLE_BYTES = 27, 13
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,9 @@ def write_mesh(
         o3d.utility.Vector3iVector(mesh.triangles),
     )
     surface.vertex_colors = o3d.utility.Vector3dVector(mesh.colours.astype(np.float64))
-    with replacing(path) as temporary, silenced():
+    # Open3D crashes on a full disk.
+    size = _VERTEX_BYTES * len(vertices_m) + _TRIANGLE_BYTES * len(mesh.triangles)
+    with replacing(path, size) as temporary, silenced():
         _must(o3d.io.write_triangle_mesh(str(temporary), surface))
 
 
@@ -144,7 +148,7 @@ def write_points(path: PathLike, points_m: NDArray, colours: NDArray) -> None:
     o3d = open3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m.astype(np.float64)))
     cloud.colors = o3d.utility.Vector3dVector(np.clip(colours, 0.0, 1.0).astype(np.float64))
-    with replacing(path) as temporary, silenced():
+    with replacing(path, _VERTEX_BYTES * len(points_m)) as temporary, silenced():
         _must(o3d.io.write_point_cloud(str(temporary), cloud))
 
 

@@ -46,7 +46,8 @@ def write_with_open3d(path: Path, columns: Columns, header: str = "") -> None:
     cloud = o3d.t.geometry.PointCloud()
     for name, values in columns.items():
         cloud.point[name] = o3d.core.Tensor(np.ascontiguousarray(values))
-    with replacing(path) as temporary, silenced():
+    size = sum(values.nbytes for values in columns.values())
+    with replacing(path, size) as temporary, silenced():
         if not o3d.t.io.write_point_cloud(str(temporary), cloud):
             raise RunFolderError(f"cannot write {path}: free space there, or allow writing")
         if header:
