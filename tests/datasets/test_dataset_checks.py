@@ -124,6 +124,9 @@ def test_jpeg_with_decoder_warnings(make_replica):
 
 def test_unknown_class_ids(make_replica):
     folder = make_replica(labels=True)
+    for file in (folder / "labels").glob("*.png"):
+        images.write_png(file, np.zeros((24, 32), np.uint8))
+    assert only_fault("replica", folder).startswith("all labels are void (0)")
     images.write_png(folder / "labels/label000000.png", np.full((24, 32), 77, np.uint8))
     assert only_fault("replica", folder).endswith("missing in classes.json: 77")
 

@@ -209,6 +209,8 @@ def _frame_faults(findings: _Findings) -> list[str]:
 
 
 def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str]:
+    if findings.label_ids == {0}:
+        return ["all labels are void (0), so the map will have none; check how they were saved"]
     unknown = sorted(findings.label_ids - {0} - set(names or {}))
     if names is None or not unknown:
         return []
