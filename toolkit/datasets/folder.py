@@ -130,23 +130,12 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
                 f"{', '.join(_REQUIRED + _OPTIONAL)}"
             )
     try:
-        numbers = {key: _number(key, values[key]) for key in _REQUIRED}
+        camera = _camera(values)
         depth_scale = _number("depth_scale", values.get("depth_scale", 1.0))
         fps = _number("fps", values.get("fps", DEFAULT_FPS))
         readout_ms = _number("readout_ms", values["readout_ms"]) if "readout_ms" in values else None
         distortion = tuple(float(k) for k in values.get("distortion") or ())
         fisheye = tuple(float(k) for k in values.get("fisheye") or ())
-        for key in ("width", "height"):
-            if numbers[key] != int(numbers[key]):
-                raise ValueError(f"{key} must be a whole number of pixels, got {values[key]}")
-        camera = Camera(
-            numbers["fx"],
-            numbers["fy"],
-            numbers["cx"],
-            numbers["cy"],
-            int(numbers["width"]),
-            int(numbers["height"]),
-        )
     except (TypeError, ValueError, OverflowError, SettingsError) as error:
         raise DatasetError(f"{path}: {error}; correct the value") from error
     if len(distortion) not in (0, 5, 8) or not np.isfinite(distortion).all():
@@ -168,6 +157,14 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
     return Intrinsics(
         camera, depth_scale, fisheye or distortion or None, fps, bool(fisheye), readout_s
     )
+
+
+def _camera(values: dict[str, Any]) -> Camera:
+    fx, fy, cx, cy, width, height = (_number(key, values[key]) for key in _REQUIRED)
+    for key, number in (("width", width), ("height", height)):
+        if number != int(number):
+            raise ValueError(f"{key} must be a whole number of pixels, got {number:g}")
+    return Camera(fx, fy, cx, cy, int(width), int(height))
 
 
 def _number(key: str, value: Any) -> float:
