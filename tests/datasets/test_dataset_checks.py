@@ -47,6 +47,24 @@ def test_wrong_depth_scale(make_replica, scale, median):
     assert "1000 would give 1.65 m" in fault
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"cx": 64.0, "cy": 48.0}, "the principal point (64.0, 48.0) is far from the centre"),
+        ({"fx": 3.0, "fy": 3.0}, "cover 158.8 degrees"),
+        ({"fx": 3e4, "fy": 3e4}, "cover 0.1 degrees"),
+        ({"fx": 90.0}, "focal lengths 90.0 and 31.0 of the 32x24 images differ"),
+    ],
+)
+def test_intrinsics_of_another_resolution(make_replica, change, words):
+    folder = make_replica()
+    (folder / "traj.txt").unlink()
+    values = json.loads((folder / "cam_params.json").read_text())
+    values["camera"] |= change
+    (folder / "cam_params.json").write_text(json.dumps(values))
+    assert words in only_fault("replica", folder)
+
+
 def test_non_finite_and_non_rigid_poses(make_replica):
     folder = make_replica()
     rows = (folder / "traj.txt").read_text().splitlines()
