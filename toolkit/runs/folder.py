@@ -148,7 +148,8 @@ class RunFolder:
 
     def remove_leftovers(self) -> None:
         """Remove what a killed process was writing or replacing; call it in the resumed run."""
-        for parent in (self.path, self.checkpoints, self.submaps, *self.submaps.glob("*/")):
+        places = (self.path, self.checkpoints, self.renders, self.live, self.submaps)
+        for parent in (*places, *self.submaps.glob("*/"), *self.parts.glob("*/")):
             for pattern in (".writing-*", ".replaced-*"):
                 for path in parent.glob(pattern):
                     if path.is_dir():
