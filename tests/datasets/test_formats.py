@@ -72,6 +72,16 @@ def test_replica_pairs_by_number_and_finds_the_camera_in_the_parent(make_replica
     assert dataset.recording.flaws == ("1 colour image(s) without depth: frame000001.png",)
 
 
+@pytest.mark.parametrize("name", ["frame000002.jpg", "frame2.png"])
+def test_two_images_of_one_number_are_refused(make_replica, name):
+    folder = make_replica()
+    shutil.copy(folder / "results/frame000000.png", folder / "results" / name)
+    with pytest.raises(
+        DatasetError, match=r"results contains both frame\S+ and frame\S+; keep one"
+    ):
+        open_dataset("replica", folder)
+
+
 def test_replica_without_truth_or_labels(make_replica):
     folder = make_replica()
     (folder / "traj.txt").unlink()
@@ -119,6 +129,15 @@ def test_tum_omits_frames_without_depth_and_poses_without_ground_truth(make_tum)
     check_truth(dataset, [0, 2], [1, 3])
     assert "without depth within 20 ms" in dataset.recording.notes[0]
     assert "without a ground-truth pose" in dataset.recording.notes[1]
+
+
+def test_tum_without_any_pair_states_the_times(make_tum):
+    folder = make_tum()
+    lines = [line for line in (folder / "depth.txt").read_text().splitlines() if line[0] != "#"]
+    late = [f"{float(time) + 5} {file}" for time, file in map(str.split, lines)]
+    (folder / "depth.txt").write_text("\n".join(late))
+    with pytest.raises(DatasetError, match=r"within 20 ms, rgb\.txt has times from .* s and depth"):
+        open_dataset("tum", folder)
 
 
 def test_tum_sorts_lists_and_reports_it(make_tum):

@@ -94,13 +94,23 @@ def folder_holding_any(
 
 
 def numbered(folder: Path, pattern: str) -> dict[int, Path]:
-    """Return the files of a folder by the number in the pattern's only group, ascending."""
+    """Return the files of a folder by the number in the pattern's only group, ascending.
+
+    Raises:
+        DatasetError: two files have the same number.
+    """
     expression = re.compile(pattern)
-    found = {}
+    found: dict[int, Path] = {}
     for file in visible(folder) if folder.is_dir() else ():
         match = expression.fullmatch(file.name)
-        if match:
-            found[int(match.group(1))] = file
+        if match is None:
+            continue
+        number = int(match.group(1))
+        if number in found:
+            raise DatasetError(
+                f"{folder} contains both {found[number].name} and {file.name}; keep one of them"
+            )
+        found[number] = file
     return dict(sorted(found.items()))
 
 

@@ -1,8 +1,9 @@
 """The convention of given poses, judged by the images.
 
 Poses may have other camera axes than ours (right, down, forward), be inverted (world to camera),
-left-handed, in another unit, or have quaternions in another order. The numbers look the same. But points of one frame, moved by right
-poses, have the depth and the colour of another frame there; this is compared for every convention.
+left-handed, in another unit, or have quaternions in another order. The numbers look the same. But
+points of one frame, moved by right poses, have the depth and the colour of another frame there;
+this is compared for every convention.
 """
 
 from __future__ import annotations
