@@ -65,6 +65,26 @@ def test_intrinsics_of_another_resolution(make_replica, change, words):
     assert words in only_fault("replica", folder)
 
 
+def test_a_pose_far_from_its_neighbours(make_folder):
+    folder = make_folder(frames=8)
+    lines = (folder / "trajectory.txt").read_text().splitlines()
+    words = lines[4].split()
+    words[1] = "5.5"
+    (folder / "trajectory.txt").write_text("\n".join([*lines[:4], " ".join(words), *lines[5:]]))
+    flaws = describe("folder", folder).flaws
+    assert len(flaws) == 1
+    assert flaws[0].startswith("1 ground-truth pose(s) are up to 4.99 m") and "4.png" in flaws[0]
+
+
+def test_a_pose_after_a_pause_is_no_outlier(make_folder):
+    folder = make_folder(frames=8)
+    lines = [line.split() for line in (folder / "trajectory.txt").read_text().splitlines()]
+    for words in lines[4:]:
+        words[1] = str(float(words[1]) + 5.0)
+    (folder / "trajectory.txt").write_text("\n".join(map(" ".join, lines)))
+    assert describe("folder", folder).flaws == ()
+
+
 def test_non_finite_and_non_rigid_poses(make_replica):
     folder = make_replica()
     rows = (folder / "traj.txt").read_text().splitlines()

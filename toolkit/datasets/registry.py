@@ -27,7 +27,7 @@ from toolkit.datasets import (
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.depth_samples import with_usable_depth
-from toolkit.datasets.findings import camera_faults
+from toolkit.datasets.findings import camera_faults, pose_faults
 from toolkit.datasets.options import BagTopics
 from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.datasets.times import is_impossible, unit_fault
@@ -242,6 +242,7 @@ def describe(kind: str, path: str | os.PathLike[str], topics: BagTopics | None =
         recording = bag.describe(Path(path), topics)
     else:
         recording = KINDS[kind](Path(path))
-    if not recording.calibrated:
-        return recording
-    return replace(recording, flaws=(*recording.flaws, *camera_faults(recording.camera)))
+    flaws = (*recording.flaws, *pose_faults(recording))
+    if recording.calibrated:
+        flaws += camera_faults(recording.camera)
+    return replace(recording, flaws=flaws)
