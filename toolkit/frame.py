@@ -17,6 +17,8 @@ from toolkit.geometry.camera import Camera
 class Frame:
     """One RGB-D image of a sequence. It does not contain the ground-truth pose, on purpose.
 
+    The map keeps images of some frames, so that their arrays must not be changed later.
+
     Attributes:
         index: position in the sequence, from 0.
         timestamp_s: seconds, increasing with the index.

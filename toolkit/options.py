@@ -12,10 +12,12 @@ from __future__ import annotations
 import ast
 import difflib
 import inspect
+import os
 import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, get_type_hints
 
 from toolkit.errors import SettingsError
@@ -103,7 +105,7 @@ def validated(
     origin: str = "",
     shown: Callable[[str], str] = "option '{}'".format,
 ) -> Options:
-    """Validated options.
+    """Validated options; paths that start with `~` are in the home folder.
 
     Args:
         kind: a dataclass of options.
@@ -118,10 +120,31 @@ def validated(
 
     adapter: TypeAdapter[tuple[Options]] = _adapter(cast(Any, kind))
     try:
-        return adapter.validate_python((content,))[0]
+        return cast(Options, with_home(adapter.validate_python((content,))[0]))
     except ValidationError as error:
         message = _first_error(kind, error, shown)
     raise SettingsError(f"{origin}: {message}" if origin else message)
+
+
+def with_home(value: Any) -> Any:
+    """A value whose paths start with the home folder instead of `~`.
+
+    Shells expand `--out ~/runs`, but not `--out=~/runs`, and YAML files are not expanded at all: a
+    folder of the name `~` would be created.
+    """
+    if isinstance(value, Path):
+        # Path.expanduser would raise where there is no such user.
+        return Path(os.path.expanduser(value))
+    if isinstance(value, tuple):
+        return tuple(map(with_home, value))
+    if isinstance(value, dict):
+        return {key: with_home(item) for key, item in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        before = {field.name: getattr(value, field.name) for field in fields(value)}
+        after = {name: with_home(item) for name, item in before.items()}
+        changed = {name: item for name, item in after.items() if item != before[name]}
+        return replace(value, **changed) if changed else value
+    return value
 
 
 def as_plain(options: Any) -> dict[str, Any]:

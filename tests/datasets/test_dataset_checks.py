@@ -47,6 +47,44 @@ def test_wrong_depth_scale(make_replica, scale, median):
     assert "1000 would give 1.65 m" in fault
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"cx": 64.0, "cy": 48.0}, "the principal point (64.0, 48.0) is far from the centre"),
+        ({"fx": 3.0, "fy": 3.0}, "cover 158.8 degrees"),
+        ({"fx": 3e4, "fy": 3e4}, "cover 0.1 degrees"),
+        ({"fx": 90.0}, "focal lengths 90.0 and 31.0 of the 32x24 images differ"),
+    ],
+)
+def test_intrinsics_of_another_resolution(make_replica, change, words):
+    folder = make_replica()
+    (folder / "traj.txt").unlink()
+    values = json.loads((folder / "cam_params.json").read_text())
+    values["camera"] |= change
+    (folder / "cam_params.json").write_text(json.dumps(values))
+    assert words in only_fault("replica", folder)
+
+
+def test_a_pose_far_from_its_neighbours(make_folder):
+    folder = make_folder(frames=8)
+    lines = (folder / "trajectory.txt").read_text().splitlines()
+    words = lines[4].split()
+    words[1] = "5.5"
+    (folder / "trajectory.txt").write_text("\n".join([*lines[:4], " ".join(words), *lines[5:]]))
+    flaws = describe("folder", folder).flaws
+    assert len(flaws) == 1
+    assert flaws[0].startswith("1 ground-truth pose(s) are up to 4.99 m") and "4.png" in flaws[0]
+
+
+def test_a_pose_after_a_pause_is_no_outlier(make_folder):
+    folder = make_folder(frames=8)
+    lines = [line.split() for line in (folder / "trajectory.txt").read_text().splitlines()]
+    for words in lines[4:]:
+        words[1] = str(float(words[1]) + 5.0)
+    (folder / "trajectory.txt").write_text("\n".join(map(" ".join, lines)))
+    assert describe("folder", folder).flaws == ()
+
+
 def test_non_finite_and_non_rigid_poses(make_replica):
     folder = make_replica()
     rows = (folder / "traj.txt").read_text().splitlines()
@@ -124,6 +162,9 @@ def test_jpeg_with_decoder_warnings(make_replica):
 
 def test_unknown_class_ids(make_replica):
     folder = make_replica(labels=True)
+    for file in (folder / "labels").glob("*.png"):
+        images.write_png(file, np.zeros((24, 32), np.uint8))
+    assert only_fault("replica", folder).startswith("all labels are void (0)")
     images.write_png(folder / "labels/label000000.png", np.full((24, 32), 77, np.uint8))
     assert only_fault("replica", folder).endswith("missing in classes.json: 77")
 

@@ -3,6 +3,8 @@
 import json
 import logging
 import shutil
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,6 +72,16 @@ def test_replica_pairs_by_number_and_finds_the_camera_in_the_parent(make_replica
     assert dataset.recording.flaws == ("1 colour image(s) without depth: frame000001.png",)
 
 
+@pytest.mark.parametrize("name", ["frame000002.jpg", "frame2.png"])
+def test_two_images_of_one_number_are_refused(make_replica, name):
+    folder = make_replica()
+    shutil.copy(folder / "results/frame000000.png", folder / "results" / name)
+    with pytest.raises(
+        DatasetError, match=r"results contains both frame\S+ and frame\S+; keep one"
+    ):
+        open_dataset("replica", folder)
+
+
 def test_replica_without_truth_or_labels(make_replica):
     folder = make_replica()
     (folder / "traj.txt").unlink()
@@ -117,6 +129,15 @@ def test_tum_omits_frames_without_depth_and_poses_without_ground_truth(make_tum)
     check_truth(dataset, [0, 2], [1, 3])
     assert "without depth within 20 ms" in dataset.recording.notes[0]
     assert "without a ground-truth pose" in dataset.recording.notes[1]
+
+
+def test_tum_without_any_pair_states_the_times(make_tum):
+    folder = make_tum()
+    lines = [line for line in (folder / "depth.txt").read_text().splitlines() if line[0] != "#"]
+    late = [f"{float(time) + 5} {file}" for time, file in map(str.split, lines)]
+    (folder / "depth.txt").write_text("\n".join(late))
+    with pytest.raises(DatasetError, match=r"within 20 ms, rgb\.txt has times from .* s and depth"):
+        open_dataset("tum", folder)
 
 
 def test_tum_sorts_lists_and_reports_it(make_tum):
@@ -212,7 +233,8 @@ def test_times_of_a_plain_folder_can_be_specified(make_folder):
         ("0 0.0\n1 0.1\n2 0.1\n", "time of frame 2 must be finite and increase"),
         ("0 0.0\n1 nan\n2 0.2\n", "time of frame 1 must be finite and increase"),
         ("0 0.0\n1 0.1\n2\n", "must have a stem and seconds"),
-        ("0 0.0\n1 0.1\n2 soon\n", "must have a stem and seconds"),
+        ("0 0.0\n1 0.1\n2 soon\n", "line 3: each line must have a stem and seconds"),
+        ("0 0.0\n1 0.1\n2 0.2\n2 9.9\n", "line 4: frame 2 has two times"),
     ],
 )
 def test_errors_in_times_name_the_file(make_folder, content, message):
@@ -221,6 +243,47 @@ def test_errors_in_times_name_the_file(make_folder, content, message):
     with pytest.raises(DatasetError, match=message) as caught:
         open_dataset("folder", folder)
     assert "timestamps.txt" in str(caught.value)
+
+
+def renamed(folder: Path, name: Callable[[str, int], str]) -> Path:
+    """Rename the images of a folder by the name of their subfolder and their number."""
+    for kind in ("rgb", "depth"):
+        for file in list((folder / kind).iterdir()):
+            file.rename(file.with_name(name(kind, int(file.stem))))
+    return folder
+
+
+@pytest.mark.parametrize("prefix", ["", "frame_", "my room 2, "])
+def test_frames_of_a_plain_folder_are_in_the_order_of_their_numbers(make_folder, prefix):
+    folder = renamed(make_folder(frames=12), lambda _, number: f"{prefix}{number}.png")
+    check_frames(open_dataset("folder", folder), list(range(12)))
+
+
+def test_times_may_have_comments_and_names_with_spaces(make_folder):
+    folder = renamed(make_folder(frames=2), lambda _, number: f"my room {number}.png")
+    (folder / "timestamps.txt").write_text("# stem seconds\nmy room 0 0.5\nmy room 1 0.75\n")
+    assert open_dataset("folder", folder).timestamps_s.tolist() == [0.5, 0.75]
+
+
+def test_a_plain_folder_without_pairs_says_why(make_folder):
+    folder = renamed(make_folder(frames=2), lambda kind, number: f"{kind}_{number}.png")
+    with pytest.raises(DatasetError, match=r"depth_0\.png, rgb_0\.png\); rename them"):
+        open_dataset("folder", folder)
+    for file in (folder / "depth").iterdir():
+        file.rename(file.with_suffix(".npy"))
+    with pytest.raises(DatasetError, match=r"depth contains no \.png images; convert depth"):
+        open_dataset("folder", folder)
+    for file in (folder / "rgb").iterdir():
+        file.rename(file.with_suffix(".webp"))
+    with pytest.raises(DatasetError, match="rgb contains no images"):
+        open_dataset("folder", folder)
+
+
+def test_two_images_of_one_frame_are_refused(make_folder):
+    folder = make_folder(frames=2)
+    shutil.copy(folder / "rgb/1.png", folder / "rgb/1.jpg")
+    with pytest.raises(DatasetError, match=r"rgb contains both 1\.jpg and 1\.png; keep one"):
+        open_dataset("folder", folder)
 
 
 def test_a_folder_without_depth_has_colour_alone(make_folder):
@@ -242,6 +305,8 @@ def test_a_folder_without_depth_has_colour_alone(make_folder):
         ({"depth_scale": 0}, "depth_scale must be positive"),
         ({"fx": "wide"}, "could not convert"),
         ({"fy": -1}, "fx, fy > 0"),
+        ({"fx": "true"}, "fx must be a number, got True"),
+        ({"width": 32.5}, "width must be a whole number of pixels"),
         ({"distortion": "[1, 2]"}, "distortion must be the 5 numbers"),
         ({"readout_ms": -3}, "readout_ms must be milliseconds"),
     ],

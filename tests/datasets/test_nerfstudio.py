@@ -39,6 +39,18 @@ def test_frames_camera_and_poses_are_those_written(make_nerfstudio, enlarged):
     assert dataset.recording.flaws == ()
 
 
+def test_numbers_in_the_names_of_frames_are_sorted_by_value(make_nerfstudio):
+    folder = make_nerfstudio(frames=12)
+    content = json.loads((folder / "transforms.json").read_text())
+    for frame in content["frames"]:
+        for key in ("file_path", "depth_file_path"):
+            old = Path(frame[key].replace("\\", "/"))
+            frame[key] = str(old.with_name(f"r_{old.name}"))
+            (folder / old).rename(folder / frame[key])
+    (folder / "transforms.json").write_text(json.dumps(content))
+    check_frames(open_dataset("nerfstudio", folder), list(range(12)))
+
+
 def test_a_point_keeps_its_place_in_the_world(make_nerfstudio):
     """A point 2 m in front of the second camera, projected by the conventions of the format."""
     folder = make_nerfstudio()

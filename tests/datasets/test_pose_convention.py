@@ -38,6 +38,13 @@ def scaled(T, factor):
     return moved
 
 
+def scalar_first(T):
+    """The pose whose quaternion is written as w x y z and read as x y z w."""
+    x, y, z, w = se3.quaternion_xyzw(T[:3, :3])
+    R = se3.rotation_from_quaternion_xyzw(np.array([w, x, y, z]))
+    return se3.from_rotation_translation(R, T[:3, 3])
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Path:
     """A folder of a shaking camera in a box room, with its true poses."""
@@ -76,10 +83,23 @@ def judged(folder, changed):
         (lambda T: UNITY @ T @ UNITY, "left-handed, as in Unity"),
         (lambda T: T @ ROBOT.T, "x forward, y left, z up"),
         (lambda T: scaled(T, 1e3), "in millimetres"),
+        (scalar_first, "the order of the quaternions is w x y z instead of x y z w"),
+        (lambda T: scalar_first(T @ OPENGL), "w x y z instead of x y z w and the axes of the"),
         (lambda T: scaled(T @ OPENGL, 1e2), "(OpenGL, Blender, ARKit) and positions are in centim"),
         (lambda T: scaled(T, 0.2), "in units of 5"),
     ],
-    ids=["opengl", "inverse", "both", "unity", "robot", "mm", "opengl cm", "unscaled"],
+    ids=[
+        "opengl",
+        "inverse",
+        "both",
+        "unity",
+        "robot",
+        "mm",
+        "wxyz",
+        "wxyz opengl",
+        "opengl cm",
+        "unscaled",
+    ],
 )
 def test_conventions_are_found_and_converted(recording, changed, words):
     report, given = judged(recording, changed)
@@ -151,7 +171,7 @@ def test_a_run_reports_what_check_data_finds(opengl_recording, tmp_path, caplog)
     assert "contradict depth and colour" in (out / "log.txt").read_text()
 
 
-def test_far_poses_become_relative_to_an_origin(recording, tmp_path):
+def test_far_poses_become_relative_to_an_origin(recording, tmp_path, caplog):
     """With the coordinates of UTM, given poses give the same map as near zero."""
     folder, utm = tmp_path / "utm", np.array([388096.0, 3948996.0, 57.0])
     folder.mkdir()
@@ -162,7 +182,8 @@ def test_far_poses_become_relative_to_an_origin(recording, tmp_path):
     psnr_db = []
     for place in (folder, recording):
         out = tmp_path / f"run-{place.name}"
-        run(settings_for(place), out)
+        with caplog.at_level(logging.INFO, "toolkit"):
+            run(settings_for(place), out)
         images = json.loads((out / "metrics.json").read_text())["images"]
         psnr_db.append(images["mapped"]["psnr_db"])
     assert psnr_db[0] == pytest.approx(psnr_db[1], abs=0.2)

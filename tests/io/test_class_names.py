@@ -10,6 +10,13 @@ from toolkit.errors import DatasetError
 from toolkit.io.class_names import read_class_names
 
 
+def test_a_file_without_classes_is_refused(tmp_path):
+    path = tmp_path / "classes.json"
+    path.write_text(json.dumps({"void": 0, "classes": {}}))
+    with pytest.raises(DatasetError, match=r"classes\.json names no classes; add those"):
+        read_class_names(path)
+
+
 @pytest.mark.parametrize(
     ("name", "fault"),
     [

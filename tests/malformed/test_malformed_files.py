@@ -229,9 +229,9 @@ UNITS = ("run/semantics", "run/submaps/0000_0", "killed/checkpoint")
 OTHER_NAMES = {
     "run: data/intrinsics.yaml other size": "data/depth/0000.png is 64x48 but the camera",
     "given: data/trajectory.txt missing": "poses 'given' needs poses, but data has none",
-    "check-data: data/rgb file": "data contains no frames",
-    "run: data/depth file": "data contains no frames",
-    "check-data: data/depth file": "data contains no frames",
+    "check-data: data/rgb file": "data/rgb contains no images",
+    "run: data/depth file": "data/depth contains no .png images",
+    "check-data: data/depth file": "data/depth contains no .png images",
     "taxonomy: run/taxonomy.yaml other tree": "taxonomy 'x' has no class",
     "query: run/semantics/metadata.json other digest": "run/taxonomy.yaml is not the taxonomy",
 }

@@ -131,3 +131,14 @@ def test_nested_options_have_dotted_keys_descriptions_and_ranges():
     assert options["tracking.width"].description == "Width, in metres. It may be unset."
     assert options["tracking.width"].range == Range(gt=0)
     assert options["tracking.folder"].range is None
+
+
+def test_paths_start_in_the_home_folder(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/ada")
+    content = {"tracking": {"folder": "~/room", "names": ["~/name"]}}
+    options = validated(_Settings, content)
+    assert options.tracking.folder == Path("/home/ada/room")
+    assert options.tracking.names == ("~/name",)
+    for other in ("room~", "a/~/b", "~no-such-user/room"):
+        content["tracking"]["folder"] = other
+        assert validated(_Settings, content).tracking.folder == Path(other)

@@ -158,6 +158,22 @@ def test_without_a_dataset_the_unit_follows_from_the_first_frame(factor):
     assert path == pytest.approx(truth.path_length_m, rel=0.1)
 
 
+def test_depth_at_infinity_does_not_count(caplog):
+    """As simulators write it for the sky, which may be most of an image."""
+    frame = tiny_room(1, *SIZE)[0][0]
+    depth_m = np.where(np.arange(frame.depth_m.size) % 5 > 0, np.float32(np.inf), np.float32(3.0))
+    depth_m = depth_m.reshape(frame.depth_m.shape)
+    assert LengthUnit.of_frame(replace(frame, depth_m=depth_m)) == LengthUnit()
+    assert LengthUnit.of_frame(replace(frame, depth_m=np.full_like(depth_m, np.inf))) is None
+    assert not caplog.records
+
+
+def test_depth_in_millimetres_is_warned_of(caplog):
+    frame = tiny_room(1, *SIZE)[0][0]
+    LengthUnit.of_frame(replace(frame, depth_m=frame.depth_m * 1000))
+    assert "km; depth must be in metres" in caplog.text
+
+
 def test_units_are_powers_of_two_and_rooms_keep_the_metre(room, tmp_path):
     dataset = open_dataset("folder", room)
     median_m = np.median([np.median(frame.depth_m) for frame in dataset])

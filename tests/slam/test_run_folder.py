@@ -60,7 +60,8 @@ def test_a_damaged_newest_falls_back_to_the_one_before(folder, caplog, file, new
 
 def test_what_a_killed_process_was_writing_is_removed_when_the_run_is_resumed(folder):
     save(folder, 1)
-    for parent in (folder.path, folder.checkpoints, folder.submaps):
+    places = (folder.path, folder.checkpoints, folder.submaps, folder.renders)
+    for parent in (*places, folder.part(1).path):
         (parent / ".writing-a").mkdir(parents=True)
         (parent / ".writing-a/arrays.npz").write_bytes(b"half")
         (parent / ".replaced-b").mkdir()

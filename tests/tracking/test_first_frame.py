@@ -31,11 +31,17 @@ def at_infinity(like: Frame) -> Frame:
     return replace(like, depth_m=np.full_like(like.depth_m, np.inf))
 
 
+def of_eight_bits(like: Frame) -> Frame:
+    """As images are before they are divided by 255."""
+    return replace(like, rgb=255 * np.ones_like(like.rgb))
+
+
 FAULTS = [
     (blind_frame, "only 0 pixels have depth"),
     (without_numbers, "only 0 pixels have depth"),
     (at_infinity, "only 0 pixels have depth"),
     (dead_sensor_frame, "its colour image contains values that are not finite"),
+    (of_eight_bits, "its colours reach 255, but must be between 0 and 1"),
 ]
 
 

@@ -14,11 +14,11 @@ from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.findings import (
+    depth_faults,
     depth_scale_finding,
     is_impossible_depth,
     length,
     readable_frames,
-    registration_fault,
 )
 from toolkit.datasets.pairing import listed
 from toolkit.datasets.pose_convention import judge_convention
@@ -209,6 +209,8 @@ def _frame_faults(findings: _Findings) -> list[str]:
 
 
 def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str]:
+    if findings.label_ids == {0}:
+        return ["all labels are void (0), so the map will have none; check how they were saved"]
     unknown = sorted(findings.label_ids - {0} - set(names or {}))
     if names is None or not unknown:
         return []
@@ -218,10 +220,10 @@ def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str
 
 
 def _agreement_faults(dataset: RecordedDataset) -> list[str]:
-    """Lines about depth that is not registered to colour, and poses that contradict both."""
+    """Lines about unsuitable depth, and about poses that contradict depth and colour."""
     convention = judge_convention(dataset)
-    faults = [registration_fault(dataset), convention.verdict() if convention else None]
-    return [fault for fault in faults if fault]
+    verdict = convention.verdict() if convention else None
+    return [*depth_faults(dataset), *([verdict] if verdict else [])]
 
 
 def _repeat_notes(findings: _Findings) -> list[str]:

@@ -8,8 +8,7 @@ import numpy as np
 
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.common_camera import common_camera
-from toolkit.datasets.pairing import attach_poses, listed
-from toolkit.datasets.photos import natural_key
+from toolkit.datasets.pairing import attach_poses, listed, natural_key
 from toolkit.errors import DatasetError
 from toolkit.io.colmap import ColmapCamera, read_cameras, read_images
 

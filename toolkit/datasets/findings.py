@@ -6,13 +6,22 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.depth_kind import depth_kind_fault
+from toolkit.datasets.pairing import listed
 from toolkit.datasets.registration_check import evenly_spaced_frames, measure_registration
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
+from toolkit.geometry.camera import Camera
 
 # Range of the median depth of most recordings, and of any sensor, metres.
 _USUAL_M, _POSSIBLE_M = (0.1, 30.0), (0.01, 200.0)
+# Intrinsics of usual cameras: place of the principal point in the image, as shares of its sides;
+# horizontal field of view; ratio of the focal lengths, which images resized to another shape have.
+_CENTRAL, _USUAL_FOV_DEG, _MAX_ASPECT = (0.2, 0.8), (3.0, 150.0), 1.8
+# A pose is an outlier from this distance to both neighbours, in metres and in usual steps, if these
+# are closer to each other than this share of it; usual steps need some poses.
+_JUMP_M, _JUMP_STEPS, _RETURN, _MIN_POSES = 0.1, 10.0, 0.25, 5
 _COMMON_SCALES = (1000.0, 5000.0, 6553.5)
 _FRAMES = 24
 
@@ -25,13 +34,65 @@ def quick_findings(dataset: RecordedDataset) -> tuple[str, ...]:
     medians_m = [float(np.median(f.depth_m[f.depth_m > 0])) for f in frames if f.depth_m.any()]
     scale = depth_scale_finding(medians_m, dataset.recording.depth_scale)
     registration = measure_registration(frames).verdict()
-    return tuple(line for line in (scale, registration) if line)
+    return tuple(line for line in (scale, depth_kind_fault(frames), registration) if line)
 
 
-def registration_fault(dataset: RecordedDataset) -> str | None:
-    """A line about colour and depth that are not registered."""
+def camera_faults(camera: Camera) -> tuple[str, ...]:
+    """Lines about intrinsics that no usual camera has, such as those of another resolution."""
+    size = f"the {camera.width}x{camera.height} images"
+    remedy = "check that the intrinsics are those of this resolution"
+    faults = []
+    low, high = _CENTRAL
+    if not (
+        low * camera.width <= camera.cx + 0.5 <= high * camera.width
+        and low * camera.height <= camera.cy + 0.5 <= high * camera.height
+    ):
+        faults.append(
+            f"the principal point ({camera.cx:.1f}, {camera.cy:.1f}) is far from the centre of "
+            f"{size}; {remedy}"
+        )
+    fov_deg = np.degrees(2.0 * np.arctan(0.5 * camera.width / camera.fx))
+    if not _USUAL_FOV_DEG[0] <= fov_deg <= _USUAL_FOV_DEG[1]:
+        faults.append(
+            f"with a focal length of {camera.fx:.1f} pixels, {size} cover {fov_deg:.1f} degrees; "
+            f"{remedy}"
+        )
+    if max(camera.fx / camera.fy, camera.fy / camera.fx) > _MAX_ASPECT:
+        faults.append(
+            f"the focal lengths {camera.fx:.1f} and {camera.fy:.1f} of {size} differ by more than "
+            f"pixels of any camera; {remedy}"
+        )
+    return tuple(faults)
+
+
+def pose_faults(recording: Recording) -> tuple[str, ...]:
+    """A line about single poses that are far from those before and after, which are close."""
+    truth = recording.ground_truth
+    if truth is None or len(truth) < _MIN_POSES:
+        return ()
+    positions_m = truth.positions_m
+    steps_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
+    away_m = np.minimum(steps_m[:-1], steps_m[1:])
+    past_m = np.linalg.norm(positions_m[2:] - positions_m[:-2], axis=1)
+    jumps = away_m > max(_JUMP_M, _JUMP_STEPS * float(np.median(steps_m)))
+    jumps &= past_m < _RETURN * away_m
+    names = {files.timestamp_s: files.name for files in recording.files}
+    times_s = truth.timestamps_s[1:-1][jumps].tolist()
+    jumping = [names.get(time_s, f"{time_s:.3f} s") for time_s in times_s]
+    if not jumping:
+        return ()
+    return (
+        f"{len(jumping)} ground-truth pose(s) are up to {length(float(away_m[jumps].max()))} from "
+        f"those of the frames before and after; correct or remove them: {listed(jumping)}",
+    )
+
+
+def depth_faults(dataset: RecordedDataset) -> list[str]:
+    """Lines about depth of another kind, and about depth that is not registered to colour."""
     chosen = evenly_spaced_frames(len(dataset), _FRAMES)
-    return measure_registration(readable_frames(dataset, chosen)).verdict()
+    kind = depth_kind_fault(readable_frames(dataset, chosen))
+    registration = measure_registration(readable_frames(dataset, chosen)).verdict()
+    return [line for line in (kind, registration) if line]
 
 
 def depth_scale_finding(medians_m: Sequence[float], depth_scale: float) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,13 @@ from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.pairing import (
     attach_poses,
     folder_holding,
-    is_number,
+    in_order,
     pairing_flaws,
 )
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import read_class_names
-from toolkit.io.trajectories import read_tum_lines
+from toolkit.io.trajectories import read_tum_lines, text_lines
 from toolkit.io.user_files import read_text, visible
 
 DEFAULT_FPS = 30.0
@@ -46,7 +47,7 @@ class Intrinsics:
 def describe(path: Path) -> Recording:
     """Describe `rgb/STEM.*`, `intrinsics.yaml` and optional files.
 
-    Frames are sorted by stem, numerically if all stems are numbers. The timestamp of frame i is
+    Frames are sorted by stem, numbers in it by value. The timestamp of frame i is
     i / fps, unless `timestamps.txt` exists. Optional files are `depth/STEM.png`,
     `labels/STEM.png` with `labels/classes.json`, and `trajectory.txt` in TUM format with the same
     timestamps.
@@ -63,6 +64,8 @@ def describe(path: Path) -> Recording:
     depth = _by_stem(folder / "depth", (".png",))
     labels = _by_stem(folder / "labels", (".png",))
     stems = [stem for stem in rgb if stem in depth or not has_depth]
+    if not stems:
+        raise DatasetError(_why_no_frames(folder, rgb, depth))
     times_s = _timestamps_s(folder / "timestamps.txt", stems, intrinsics.fps)
     files = tuple(
         FrameFiles(time_s, rgb[stem], depth.get(stem), labels.get(stem))
@@ -83,6 +86,24 @@ def describe(path: Path) -> Recording:
         fisheye=intrinsics.fisheye,
         flaws=flaws,
         readout_s=intrinsics.readout_s,
+    )
+
+
+def _why_no_frames(folder: Path, rgb: dict[str, Path], depth: dict[str, Path]) -> str:
+    if not rgb:
+        return (
+            f"{folder / 'rgb'} contains no images ({', '.join(_COLOUR_SUFFIXES)}); convert others "
+            "to one of these formats"
+        )
+    if not depth:
+        return (
+            f"{folder / 'depth'} contains no .png images; convert depth to 16-bit PNG, or remove "
+            "this folder and run with --depth none"
+        )
+    return (
+        f"no image in {folder / 'depth'} has the name of one in rgb "
+        f"({next(iter(depth.values())).name}, {next(iter(rgb.values())).name}); rename them so "
+        "that colour and depth of a frame have the same name before the suffix"
     )
 
 
@@ -109,20 +130,12 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
                 f"{', '.join(_REQUIRED + _OPTIONAL)}"
             )
     try:
-        numbers = {key: float(values[key]) for key in _REQUIRED}
-        depth_scale = float(values.get("depth_scale", 1.0))
-        fps = float(values.get("fps", DEFAULT_FPS))
-        readout_ms = float(values["readout_ms"]) if "readout_ms" in values else None
+        camera = _camera(values)
+        depth_scale = _number("depth_scale", values.get("depth_scale", 1.0))
+        fps = _number("fps", values.get("fps", DEFAULT_FPS))
+        readout_ms = _number("readout_ms", values["readout_ms"]) if "readout_ms" in values else None
         distortion = tuple(float(k) for k in values.get("distortion") or ())
         fisheye = tuple(float(k) for k in values.get("fisheye") or ())
-        camera = Camera(
-            numbers["fx"],
-            numbers["fy"],
-            numbers["cx"],
-            numbers["cy"],
-            int(numbers["width"]),
-            int(numbers["height"]),
-        )
     except (TypeError, ValueError, OverflowError, SettingsError) as error:
         raise DatasetError(f"{path}: {error}; correct the value") from error
     if len(distortion) not in (0, 5, 8) or not np.isfinite(distortion).all():
@@ -146,6 +159,21 @@ def read_intrinsics(path: Path, has_depth: bool = True) -> Intrinsics:
     )
 
 
+def _camera(values: dict[str, Any]) -> Camera:
+    fx, fy, cx, cy, width, height = (_number(key, values[key]) for key in _REQUIRED)
+    for key, number in (("width", width), ("height", height)):
+        if number != int(number):
+            raise ValueError(f"{key} must be a whole number of pixels, got {number:g}")
+    return Camera(fx, fy, cx, cy, int(width), int(height))
+
+
+def _number(key: str, value: Any) -> float:
+    """The value of a key. YAML also has truth values (`on`, `yes`), which Python counts as 1."""
+    if isinstance(value, bool):
+        raise ValueError(f"{key} must be a number, got {value}")
+    return float(value)
+
+
 def _load_mapping(path: Path) -> dict:
     import yaml  # only this layout needs it, so it may be missing on a GPU server
 
@@ -160,14 +188,21 @@ def _load_mapping(path: Path) -> dict:
 
 
 def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Return files by stem, sorted numerically if all stems are numbers, otherwise by name."""
-    found = (
-        {f.stem: f for f in visible(folder) if f.suffix.lower() in suffixes}
-        if folder.is_dir()
-        else {}
-    )
-    by_number = all(is_number(stem) for stem in found)
-    return dict(sorted(found.items(), key=lambda item: float(item[0]) if by_number else item[0]))
+    """Return files by stem, in the order of the frames.
+
+    Raises:
+        DatasetError: two files have the same stem.
+    """
+    found: dict[str, Path] = {}
+    for file in visible(folder) if folder.is_dir() else ():
+        if file.suffix.lower() not in suffixes:
+            continue
+        if file.stem in found:
+            raise DatasetError(
+                f"{folder} contains both {found[file.stem].name} and {file.name}; keep one of them"
+            )
+        found[file.stem] = file
+    return {stem: found[stem] for stem in in_order(found)}
 
 
 def _poses(
@@ -192,13 +227,18 @@ def _timestamps_s(path: Path, stems: list[str], fps: float) -> list[float]:
     """
     if not path.exists():
         return [i / fps for i in range(len(stems))]
-    try:
-        rows = [line.split() for line in read_text(path).splitlines()]
-        times_s = {stem: float(time_s) for stem, time_s in rows}
-    except (OSError, ValueError) as error:
-        raise DatasetError(
-            f"cannot read {path}: {error}; each line must have a stem and seconds"
-        ) from error
+    times_s: dict[str, float] = {}
+    for number, line in text_lines(path):
+        words = line.rsplit(maxsplit=1)  # stems may contain spaces
+        try:
+            stem, time_s = words[0], float(words[1])
+        except (ValueError, IndexError) as error:
+            raise DatasetError(
+                f"{path}, line {number}: each line must have a stem and seconds, got {line!r}"
+            ) from error
+        if stem in times_s:
+            raise DatasetError(f"{path}, line {number}: frame {stem} has two times; remove one")
+        times_s[stem] = time_s
     missing = next((stem for stem in stems if stem not in times_s), None)
     if missing is not None:
         raise DatasetError(f"{path} lacks the frame {missing}; add its time or remove its images")

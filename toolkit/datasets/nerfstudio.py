@@ -19,6 +19,7 @@ from toolkit.datasets.pairing import (
     attach_poses,
     folder_holding_any,
     is_number,
+    natural_key,
     unpaired,
 )
 from toolkit.errors import DatasetError, SettingsError
@@ -52,7 +53,7 @@ def describe(path: Path) -> Recording:
     Without this file, those of `transforms_train.json`. If it does not contain their size, it is
     that of the first image.
 
-    Frames are sorted by file name, numerically if all names are numbers; the timestamp of frame i
+    Frames are sorted by file name, numbers in it by value; the timestamp of frame i
     is i / 30 s. Frames without a depth image are left out. Values of depth images are millimetres,
     or `depth_unit_scale_factor` metres. Colour is resized to smaller depth images. The poses become
     the ground truth.
@@ -160,7 +161,7 @@ def _resolved(folder: Path, name: str) -> Path:
 def _sorted(entries: list[_Entry]) -> list[_Entry]:
     if all(is_number(entry.rgb.stem) for entry in entries):
         return sorted(entries, key=lambda entry: float(entry.rgb.stem))
-    return sorted(entries, key=lambda entry: str(entry.rgb))
+    return sorted(entries, key=lambda entry: natural_key(str(entry.rgb)))
 
 
 def _pose(file: Path, name: str, rows: Any) -> NDArray[np.float64]:

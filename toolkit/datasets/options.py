@@ -59,6 +59,7 @@ class DatasetOptions:
     Rendered images (synthetic, replica) have 0."""
     pose_convention: Literal["check", "trust", "correct"] = "check"
     """What happens if poses of the recording contradict its depth and colour, because they have
-    other camera axes, are inverted, left-handed or in another unit: check stops a run with given
-    poses, trust uses them as they are, and correct converts them."""
+    other camera axes, are inverted, left-handed or in another unit, or have quaternions in another
+    order: check stops a run with given poses, trust uses them as they are, and correct converts
+    them."""
     topics: BagTopics = BagTopics()

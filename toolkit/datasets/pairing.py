@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,19 +94,47 @@ def folder_holding_any(
 
 
 def numbered(folder: Path, pattern: str) -> dict[int, Path]:
-    """Return the files of a folder by the number in the pattern's only group, ascending."""
+    """Return the files of a folder by the number in the pattern's only group, ascending.
+
+    Raises:
+        DatasetError: two files have the same number.
+    """
     expression = re.compile(pattern)
-    found = {}
+    found: dict[int, Path] = {}
     for file in visible(folder) if folder.is_dir() else ():
         match = expression.fullmatch(file.name)
-        if match:
-            found[int(match.group(1))] = file
+        if match is None:
+            continue
+        number = int(match.group(1))
+        if number in found:
+            raise DatasetError(
+                f"{folder} contains both {found[number].name} and {file.name}; keep one of them"
+            )
+        found[number] = file
     return dict(sorted(found.items()))
+
+
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Sort key of a name by which frame2 comes before frame10."""
+    parts = re.split(r"(\d+)", name.lower())
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
 def is_number(stem: str) -> bool:
     """Whether a file name without suffix is a non-negative number, so that files sort by it."""
-    return stem.replace(".", "", 1).isdigit()
+    return stem.replace(".", "", 1).isdecimal()
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Names of files without suffix in the order of the frames.
+
+    They are sorted by value if all are non-negative numbers, such as times in seconds, otherwise by
+    name with the numbers in it by value.
+    """
+    found = list(names)
+    if all(is_number(name) for name in found):
+        return sorted(found, key=float)
+    return sorted(found, key=natural_key)
 
 
 def unpaired(what: str, names: list[str]) -> tuple[str, ...]:

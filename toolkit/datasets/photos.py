@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.folder import DEFAULT_FPS, Intrinsics, read_intrinsics
 from toolkit.datasets.orientation import oriented_camera, oriented_distortion, swaps_sides
-from toolkit.datasets.pairing import listed
+from toolkit.datasets.pairing import listed, natural_key
 from toolkit.datasets.video import FOCAL_SIGMA, camera_with_focal, typical_camera
 from toolkit.errors import DatasetError
 from toolkit.geometry.camera import Camera
@@ -82,12 +81,6 @@ def describe(path: Path) -> Recording:
         calibrated=lens.calibrated,
         focal_sigma=lens.sigma,
     )
-
-
-def natural_key(name: str) -> list[tuple[int, str]]:
-    """Sort key of a name by which frame2 comes before frame10."""
-    parts = re.split(r"(\d+)", name.lower())
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
 def _inside(folder: Path) -> tuple[Path, list[Path]]:

@@ -17,8 +17,14 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.common_camera import camera_of_depth, common_camera
-from toolkit.datasets.pairing import OPENGL_AXES, attach_poses, folder_holding, is_number, unpaired
-from toolkit.datasets.photos import natural_key
+from toolkit.datasets.pairing import (
+    OPENGL_AXES,
+    attach_poses,
+    folder_holding,
+    is_number,
+    natural_key,
+    unpaired,
+)
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_depth_m

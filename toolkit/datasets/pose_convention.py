@@ -1,8 +1,9 @@
 """The convention of given poses, judged by the images.
 
 Poses may have other camera axes than ours (right, down, forward), be inverted (world to camera),
-left-handed, or in another unit. The numbers look the same. But points of one frame, moved by right
-poses, have the depth and the colour of another frame there; this is compared for every convention.
+left-handed, in another unit, or have quaternions in another order. The numbers look the same. But
+points of one frame, moved by right poses, have the depth and the colour of another frame there;
+this is compared for every convention.
 """
 
 from __future__ import annotations
@@ -44,19 +45,24 @@ class PoseConvention:
             the given cameras. Its determinant is -1 for left-handed coordinates.
         inverted: whether poses are from world to camera.
         scale: metres per unit.
+        scalar_first: whether quaternions w x y z were read as x y z w.
     """
 
     axes: Array
     inverted: bool = False
     scale: float = 1.0
+    scalar_first: bool = False
 
     @property
     def is_ours(self) -> bool:
         """Whether poses can be used as they are."""
-        return not self.inverted and self.scale == 1.0 and np.array_equal(self.axes, np.eye(3))
+        plain = not self.inverted and not self.scalar_first and self.scale == 1.0
+        return plain and np.array_equal(self.axes, np.eye(3))
 
     def __str__(self) -> str:
         words = []
+        if self.scalar_first:
+            words.append("the order of the quaternions is w x y z instead of x y z w")
         if self.inverted:
             words.append("the poses are from world to camera (inverted)")
         if not np.array_equal(self.axes, np.eye(3)):
@@ -69,6 +75,8 @@ class PoseConvention:
     def applied(self, trajectory: Trajectory) -> Trajectory:
         """Poses in our convention; the world of left-handed ones is mirrored."""
         poses = np.array(trajectory.T_world_camera)
+        if self.scalar_first:
+            poses = np.array([_scalar_moved(pose) for pose in poses])
         if self.inverted:
             poses = np.array([se3.inverse(pose) for pose in poses])
         poses[:, :3, :3] = poses[:, :3, :3] @ self.axes
@@ -78,7 +86,10 @@ class PoseConvention:
         return Trajectory(trajectory.timestamps_s, poses)
 
     def motion(self, T_world_first: Array, T_world_second: Array) -> Array:
-        """T_second_first [4, 4] of two given poses by this convention."""
+        """T_second_first [4, 4] of two given poses by this convention.
+
+        Their quaternions are in the usual order, also for `scalar_first`.
+        """
         if self.inverted:
             given = T_world_second @ se3.inverse(T_world_first)
         else:
@@ -153,6 +164,11 @@ def judge_convention(dataset: RecordedDataset) -> ConventionReport | None:
     found, best = every[int(scores.argmax())], float(scores.max())
     if found.scale != 1.0:
         found, best = _with_fine_scale(pairs, found)
+    usual = [c for c in conventions if _is_usual(c)]
+    scores = _agreement([pair.with_scalar_moved() for pair in pairs], usual)
+    # Quaternions in the wrong order may resemble another convention in small motions.
+    if _SAME_AGREEMENT * scores.max() > best:
+        found, best = replace(usual[int(scores.argmax())], scalar_first=True), float(scores.max())
     if best - still >= _MIN_GAIN * (1.0 - still):
         return ConventionReport(found, given, best, still)
     if still >= _COMPARABLE and given < _AS_GOOD * still:
@@ -176,6 +192,18 @@ class _Pair:
     image: Array
     T_world_first: Array
     T_world_second: Array
+
+    def with_scalar_moved(self) -> _Pair:
+        """The pair with the quaternions of its poses in another order, see `_scalar_moved`."""
+        first, second = _scalar_moved(self.T_world_first), _scalar_moved(self.T_world_second)
+        return replace(self, T_world_first=first, T_world_second=second)
+
+
+def _scalar_moved(T: Array) -> Array:
+    """The pose [4, 4] that a quaternion w x y z describes, of one that was read as x y z w."""
+    w, x, y, z = se3.quaternion_xyzw(T[:3, :3])
+    R = se3.rotation_from_quaternion_xyzw(np.array([x, y, z, w]))
+    return se3.from_rotation_translation(R, T[:3, 3])
 
 
 def _pairs(dataset: RecordedDataset) -> Iterator[_Pair | None]:

@@ -27,6 +27,7 @@ from toolkit.datasets import (
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.depth_samples import with_usable_depth
+from toolkit.datasets.findings import camera_faults, pose_faults
 from toolkit.datasets.options import BagTopics
 from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.datasets.times import is_impossible, unit_fault
@@ -238,5 +239,10 @@ def describe(kind: str, path: str | os.PathLike[str], topics: BagTopics | None =
     if topics is not None and topics != BagTopics():
         if kind != "bag":
             raise DatasetError(f"dataset.topics is for bags; remove it for {kind}")
-        return bag.describe(Path(path), topics)
-    return KINDS[kind](Path(path))
+        recording = bag.describe(Path(path), topics)
+    else:
+        recording = KINDS[kind](Path(path))
+    flaws = (*recording.flaws, *pose_faults(recording))
+    if recording.calibrated:
+        flaws += camera_faults(recording.camera)
+    return replace(recording, flaws=flaws)

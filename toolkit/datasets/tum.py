@@ -56,6 +56,11 @@ def describe(path: Path) -> Recording:
         raise DatasetError(f"{folder / names[0]} lists no images; check the path")
     known = camera_of(folder, path, rgb.files[0], openloris=names == _OPENLORIS)
     pairs = associate(rgb.times_s, depth.times_s, MAX_DIFFERENCE_S)
+    if not pairs:
+        raise DatasetError(
+            f"{folder}: no colour image has depth within {1e3 * MAX_DIFFERENCE_S:.0f} ms, "
+            f"{_span(names[0], rgb)} and {_span(names[-1], depth)}; correct the times"
+        )
     files = tuple(FrameFiles(float(rgb.times_s[i]), rgb.files[i], depth.files[j]) for i, j in pairs)
     alone = sorted(set(range(len(rgb.files))) - {i for i, _ in pairs})
     truth, file = Truth(None), _truth_file(folder)
@@ -76,6 +81,13 @@ def describe(path: Path) -> Recording:
         )
         + truth.missing,
     )
+
+
+def _span(name: str, images: _ImageList) -> str:
+    """The times of a list, for messages."""
+    if not images.files:
+        return f"{name} lists no images"
+    return f"{name} has times from {images.times_s[0]:.3f} to {images.times_s[-1]:.3f} s"
 
 
 def _truth_file(folder: Path) -> Path | None:

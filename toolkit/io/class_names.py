@@ -35,11 +35,15 @@ def read_class_names(path: Path) -> dict[int, str]:
     """Read class names by id from `classes.json`: {"void": 0, "classes": {"1": "name", ...}}.
 
     Raises:
-        DatasetError: the file is missing or malformed, id 0 has the name of a class, or a name is
-            not valid.
+        DatasetError: the file is missing or malformed, names no classes, id 0 has the name of a
+            class, or a name is not valid.
     """
     content = _content(path)
     classes = _mapping(content, "classes", path)
+    if not classes:
+        raise DatasetError(
+            f"{path} names no classes; add those of the label images, or remove the labels"
+        )
     names: dict[int, str] = {}
     for key, name in classes.items():
         number = _class_id(key, path)

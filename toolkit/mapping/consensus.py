@@ -178,6 +178,8 @@ def _corrected(view: SurfaceView, keyframe: Keyframe, semantics: SemanticMapping
     silhouette = view.output.silhouette.clamp(min=0.5)
     known = (view.images[0] / silhouette >= _MIN_VIEWS).view(-1).cpu().numpy()
     class_ids, probabilities = semantics.probabilities(view)
+    if not len(class_ids):
+        return None  # every pixel so far is void
     assert keyframe.class_ids is not None
     segments, own_class = connected_segments(keyframe.class_ids.numpy())
     stride = _stride(keyframe.camera.width)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Protocol
 
@@ -36,10 +37,17 @@ class CheckpointWriter:
     Args:
         folder: of the run.
         background: copy the state and return before it is written.
+        identity: identifies a number of frames from the start of the recording, so that the run is
+            resumed with the same ones; None for frames of a camera.
     """
 
-    def __init__(self, folder: RunFolder, background: bool) -> None:
-        self._folder = folder
+    def __init__(
+        self,
+        folder: RunFolder,
+        background: bool,
+        identity: Callable[[int], dict[str, str]] | None = None,
+    ) -> None:
+        self._folder, self._identity = folder, identity
         self._executor = ThreadPoolExecutor(max_workers=1) if background else None
         self._pending: Future[None] | None = None
 
@@ -51,12 +59,13 @@ class CheckpointWriter:
         """
         self.wait()
         arrays, values = system.state()
+        frames = {} if self._identity is None else self._identity(next_frame)
         if self._executor is None:
-            self._folder.save_checkpoint(next_frame, arrays, values)
+            self._folder.save_checkpoint(next_frame, arrays, values, frames)
         else:
             copies = {name: np.array(array) for name, array in arrays.items()}
             self._pending = self._executor.submit(
-                self._folder.save_checkpoint, next_frame, copies, values
+                self._folder.save_checkpoint, next_frame, copies, values, frames
             )
         system.atlas.checkpointed()
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from toolkit.datasets.base import Dataset, RecordedDataset
@@ -29,6 +30,7 @@ from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import locked
 from toolkit.runs.modes import RunContext, RunMode, mode_of
 from toolkit.runs.observers import Observers, Progress, ProgressObserver, no_progress
+from toolkit.runs.processed_frames import Identity, check_identity, identity_of
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.results import (
     RunRecord,
@@ -116,8 +118,9 @@ def _execute(
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
     system = slam if paced is None else paced
     folder.check_taxonomy(slam.taxonomy)
-    start = _restore(system, dataset, folder)
-    checkpoints = CheckpointWriter(folder, background=paced is not None)
+    identity = partial(identity_of, dataset, given_poses=mode.given_poses)
+    start = _restore(system, dataset, folder, identity)
+    checkpoints = CheckpointWriter(folder, paced is not None, identity)
     costs = FrameCostRecorder(recorder)
     session = Session(
         dataset.name, dataset.camera, settings, folder, slam, system, costs, observers
@@ -186,8 +189,16 @@ def check_settings(settings: RunSettings) -> None:
     mode_of(settings).check(settings)
 
 
-def _restore(system: Slam | PacedSlam, dataset: Dataset, folder: RunFolder) -> int | None:
+def _restore(
+    system: Slam | PacedSlam,
+    dataset: Dataset,
+    folder: RunFolder,
+    identity: Callable[[int], Identity],
+) -> int | None:
     """Restore the newest checkpoint.
+
+    Args:
+        identity: identifies a number of frames from the start of the dataset.
 
     Returns:
         The frame at which to continue, None without a checkpoint.
@@ -203,6 +214,7 @@ def _restore(system: Slam | PacedSlam, dataset: Dataset, folder: RunFolder) -> i
             f"the checkpoint in {folder.checkpoints} is at frame {checkpoint.next_frame}, but "
             f"{dataset.name} has {len(dataset)} frames; resume with the run's dataset"
         )
+    check_identity(checkpoint.frames, identity(checkpoint.next_frame), folder.path)
     try:
         system.restore(checkpoint.arrays, checkpoint.values)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:

@@ -16,8 +16,8 @@ import json
 import logging
 import os
 import shutil
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -56,11 +56,13 @@ class Checkpoint:
     Attributes:
         next_frame: index of the frame at which to continue.
         arrays, values: state of the SLAM system, as returned by `Slam.state`.
+        frames: identifies the frames before it, see `processed_frames`; empty if not saved.
     """
 
     next_frame: int
     arrays: dict[str, NDArray]
     values: dict[str, Any]
+    frames: dict[str, str] = field(default_factory=dict)
 
 
 class RunFolder:
@@ -157,7 +159,8 @@ class RunFolder:
 
     def remove_leftovers(self) -> None:
         """Remove what a killed process was writing or replacing; call it in the resumed run."""
-        for parent in (self.path, self.checkpoints, self.submaps, *self.submaps.glob("*/")):
+        places = (self.path, self.checkpoints, self.renders, self.live, self.submaps)
+        for parent in (*places, *self.submaps.glob("*/"), *self.parts.glob("*/")):
             for pattern in (".writing-*", ".replaced-*"):
                 for path in parent.glob(pattern):
                     if path.is_dir():
@@ -183,9 +186,13 @@ class RunFolder:
                 )
 
     def save_checkpoint(
-        self, next_frame: int, arrays: dict[str, NDArray], values: dict[str, Any]
+        self,
+        next_frame: int,
+        arrays: dict[str, NDArray],
+        values: dict[str, Any],
+        frames: Mapping[str, str] | None = None,
     ) -> None:
-        """Save a checkpoint in place of the older one.
+        """Save a checkpoint in place of the older one; arguments as in `Checkpoint`.
 
         Raises:
             RunFolderError: the disk is full or not writable.
@@ -199,6 +206,7 @@ class RunFolder:
             "threads": torch.get_num_threads(),
             "version": __version__,
             "format": CHECKPOINT_FORMAT,
+            "frames": dict(frames or {}),
             "values": values,
         }
         write_array_tree(target, arrays, metadata)
@@ -222,6 +230,7 @@ class RunFolder:
             try:
                 next_frame = int(tree.metadata["next_frame"])
                 threads, values = tree.metadata["threads"], tree.metadata["values"]
+                frames = dict(tree.metadata.get("frames", {}))
             except (KeyError, TypeError, ValueError) as error:
                 _log.warning("Checkpoint %s is damaged (%r).", path, error)
                 damaged.append(path)
@@ -238,7 +247,7 @@ class RunFolder:
                     f"{self.path} was started with {threads} threads, but torch now uses "
                     f"{torch.get_num_threads()}; set OMP_NUM_THREADS={threads} to resume it"
                 )
-            return Checkpoint(next_frame, tree.arrays, values)
+            return Checkpoint(next_frame, tree.arrays, values, frames)
         if damaged:
             raise RunFolderError(
                 f"no checkpoint in {self.checkpoints} can be read; start a new run"

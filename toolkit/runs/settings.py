@@ -20,7 +20,15 @@ from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.mapping.options import MapperOptions
 from toolkit.monocular.options import ScaleOptions
-from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, Range, as_plain, validated
+from toolkit.options import (
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Range,
+    as_plain,
+    validated,
+    with_home,
+)
 from toolkit.pacing.options import FramesPerSecond, PacingOptions
 from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
 from toolkit.submaps.options import SubmapOptions
@@ -111,6 +119,7 @@ def load_settings(path: Path | None = None, preset: str = "default") -> RunSetti
     values = _read(PRESETS / f"{preset}.yaml")
     if path is None:
         return validated(RunSettings, values, f"preset {preset}")
+    path = with_home(path)
     if not path.exists() and str(path) in names:
         raise SettingsError(f"there is no file {path}; select the preset by --preset {path}")
     return validated(RunSettings, overridden(values, _read(path)), str(path))

@@ -7,6 +7,7 @@ the system is in metres again. Rooms keep the metre, and every bit of their resu
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import Dataset, RecordedDataset
+from toolkit.datasets.findings import is_impossible_depth, length
 from toolkit.errors import ToolkitError
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
@@ -28,6 +30,8 @@ from toolkit.refinement.fusion import FusedMap
 from toolkit.slam.result import FrameResult, SeparatePart, SlamResult, TrackedFrames
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.result import TrackingResult
+
+_log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
@@ -70,9 +74,22 @@ class LengthUnit:
 
     @classmethod
     def of_frame(cls, frame: Frame) -> LengthUnit | None:
-        """The unit that suits a frame, None without depth."""
-        depth_m = frame.depth_m[frame.depth_m > 0]
-        return cls._of_median(float(np.median(depth_m))) if depth_m.size else None
+        """The unit that suits a frame, None without depth.
+
+        A depth that no sensor measures is warned of; `quick_findings` does this for recordings.
+        """
+        # Simulators write infinity for the sky.
+        depth_m = frame.depth_m[np.isfinite(frame.depth_m) & (frame.depth_m > 0)]
+        if not depth_m.size:
+            return None
+        median_m = float(np.median(depth_m))
+        if is_impossible_depth([median_m]):
+            _log.warning(
+                "The median depth of frame %d is %s; depth must be in metres.",
+                frame.index,
+                length(median_m),
+            )
+        return cls._of_median(median_m)
 
     @classmethod
     def _of_median(cls, median_m: float) -> LengthUnit:

@@ -18,6 +18,8 @@ _RELAXATION = 1.25
 # Intensity (0-1) that the noise of a covered sensor does not reach, and the share of pixels that do
 # in the darkest image that shows anything.
 _DARK, _MIN_BRIGHT = 0.05, 0.005
+# Colours are at most 1; this is far beyond what interpolation adds, and below those of 8 bits.
+_MAX_COLOUR = 2.0
 
 
 def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
@@ -25,6 +27,8 @@ def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
     measured = int((np.isfinite(frame.depth_m) & (frame.depth_m > 0)).sum())
     if not np.isfinite(frame.rgb).all():
         reason = "its colour image contains values that are not finite"
+    elif frame.rgb.max() > _MAX_COLOUR:
+        reason = f"its colours reach {frame.rgb.max():.4g}, but must be between 0 and 1"
     elif measured < limits.min_measured:
         reason = f"only {measured} pixels have depth"
     elif is_black(frame):
