@@ -194,7 +194,7 @@ def test_coloured_files_without_a_table_are_no_label_images(make_folder):
         ('{"classes": {"0": "wall", "1": "a"}}', "0 is void, so it cannot be 'wall'"),
         ('{"classes": ["a"]}', "'classes' must be a mapping"),
         ('{"void": 255, "classes": {"1": "a"}}', "void is 255, but must be 0"),
-        ('{"classes": {}}', "contains no class"),
+        ('{"classes": {}}', "names no classes"),
         ('{"classes": {"1": "a"}, "colours": {"1": [1, 2]}}', r"the colour of class 1 is \[1, 2\]"),
         ('{"classes": {"1": "a"}, "colours": {"1": [0, 0, 0]}}', "class 1 is black"),
         ('{"classes": {"1": "a"}, "colours": {"2": [9, 0, 0]}}', r"id\(s\) 2 without a name"),

@@ -133,6 +133,11 @@ def test_the_program_serves_on_localhost_until_interrupted(tiny_run):
 
 def unfinished(run: Path) -> None:
     (run / "map.ply").unlink()
+    (run / "metrics.json").unlink()
+
+
+def without_map(run: Path) -> None:
+    (run / "map.ply").unlink()
 
 
 def of_another_version(run: Path) -> None:
@@ -171,6 +176,7 @@ def test_a_server_follows_a_run_until_it_is_finished(server, tiny_run, resumable
     ("damage", "words"),
     [
         (unfinished, "not finished"),
+        (without_map, "ended without a map"),
         (of_another_version, "setting_of_the_future"),
         (truncated, "truncated"),
     ],
