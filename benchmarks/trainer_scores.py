@@ -19,7 +19,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.io.visualisation import Panel, RgbImage, colour_image, strip
 from toolkit.rendering import render
 from toolkit.runs.finished import FinishedRun
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.splat_clouds import read_cloud
 
 # A near view is this part of the way to the median depth of a held-out frame.
 _APPROACH = 0.6

@@ -12,7 +12,7 @@ from toolkit.cli.main import main
 from toolkit.gaussians.cloud import PIXEL_FILTER
 from toolkit.rendering import render
 from toolkit.runs.finished import load_run
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.splat_clouds import read_cloud
 
 
 @pytest.fixture(scope="module")

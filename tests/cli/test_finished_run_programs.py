@@ -12,7 +12,7 @@ import pytest
 
 from toolkit.cli.main import main
 from toolkit.io.images import read_rgb
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.splat_clouds import read_cloud
 
 ROOT = Path(__file__).resolve().parents[2]
 

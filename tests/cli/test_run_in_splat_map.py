@@ -17,9 +17,9 @@ from toolkit.errors import SettingsError
 from toolkit.geometry import se3
 from toolkit.io.splats import export_splats, read_splats
 from toolkit.runs.finished import load_run
-from toolkit.runs.folder import read_cloud
 from toolkit.runs.saved_map import open_saved_map
 from toolkit.runs.settings import RunSettings
+from toolkit.runs.splat_clouds import read_cloud
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 

@@ -39,7 +39,7 @@ from toolkit.io.splats import (
     read_splats,
     write_splat_ply,
 )
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.splat_clouds import read_cloud
 
 KHR = "KHR_gaussian_splatting"
 SH0 = f"{KHR}:SH_DEGREE_0_COEF_0"

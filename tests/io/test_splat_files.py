@@ -13,7 +13,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.io import splats
 from toolkit.io.splat_scenes import SCENE_SUFFIXES
 from toolkit.rendering import render
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.splat_clouds import read_cloud
 
 # Tests of glTF and USD are in their own files.
 WRITTEN = (*(s for s in splats.WRITTEN_SUFFIXES if s not in SCENE_SUFFIXES), ".compressed.ply")

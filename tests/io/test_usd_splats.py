@@ -34,7 +34,7 @@ from toolkit.io.splats import (
     read_splats,
     write_splat_ply,
 )
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.splat_clouds import read_cloud
 
 pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'semsplat[usd]'")
 

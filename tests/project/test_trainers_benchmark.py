@@ -15,7 +15,7 @@ from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.splats import Splats, write_splat_ply
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.splat_clouds import read_cloud
 
 CAMERA = Camera(40.0, 40.0, 16.0, 11.0, 32, 24)
 T_MAP_CAMERA = se3.exp(np.array([0.3, -0.2, 0.1, 0.1, 0.2, -0.3]))

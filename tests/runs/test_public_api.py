@@ -15,7 +15,7 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.errors import DatasetError
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.splat_clouds import read_cloud
 from toolkit.synthetic_rooms import tiny_room
 
 README = Path(__file__).resolve().parents[2] / "README.md"

@@ -16,7 +16,7 @@ from browser_pages import WatchedPage, chromium, mean_colour
 from painted_scenes import two_panels
 
 from toolkit.io.splats import write_splat_ply
-from toolkit.runs.folder import read_cloud
+from toolkit.runs.splat_clouds import read_cloud
 from toolkit.viewer.colouring import CLASSES, SOURCE, SUBMAPS, legend
 from toolkit.viewer.html import write_page
 from toolkit.viewer.packing import pack_chunk

@@ -119,4 +119,4 @@ def _lines(report: dict[str, Any], names: LengthNames) -> list[str]:
     if report["floor_hole_m2"]:
         area = f"{report['floor_hole_m2']:.2f} {names.area}"
         lines.append(f"holes: {area} of the floor are missing there")
-    return [*lines, *(f"Note: {note}." for note in names.notes)]
+    return [*lines, *names.note_lines]

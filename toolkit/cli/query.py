@@ -108,7 +108,7 @@ def _search(options: QueryProgram) -> int:
         print("\n".join(_answer_lines(answer, run.length_names)))
     for ranking in found:
         print("\n".join(ranking_lines(ranking, run.length_names.length)))
-    for line in _note_lines(run.length_names):
+    for line in run.length_names.note_lines:
         print(line)
     return 0
 
@@ -147,13 +147,9 @@ def _output_lines(options: QueryProgram, reader: SceneReader, names: LengthNames
         return
     for answer in answers:
         yield from _answer_lines(answer, names)
-    yield from _note_lines(names)
+    yield from names.note_lines
     if reader.ground is None:
         yield "No floor was found: bounding boxes are not aligned with the vertical."
-
-
-def _note_lines(names: LengthNames) -> Iterator[str]:
-    yield from (f"Note: {note}." for note in names.notes)
 
 
 def _tree_lines(tree: dict[str, Any]) -> Iterator[str]:

@@ -40,7 +40,7 @@ from toolkit.io.visualisation import (
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.rendering.viewpoints import Viewpoint, overview
 from toolkit.runs.finished import FinishedRun, load_run
-from toolkit.runs.folder import cloud_of
+from toolkit.runs.splat_clouds import cloud_of
 from toolkit.semantics.palette import Palette
 
 _log = logging.getLogger(__name__)

@@ -30,11 +30,10 @@ def quick_findings(dataset: RecordedDataset) -> tuple[str, ...]:
     """One line for each defect or doubt that evenly spaced frames of a recording show."""
     if dataset.files(0).depth is None:
         return ()
-    frames = list(readable_frames(dataset, evenly_spaced_frames(len(dataset), _FRAMES)))
+    frames = _spread_frames(dataset)
     medians_m = [float(np.median(f.depth_m[f.depth_m > 0])) for f in frames if f.depth_m.any()]
     scale = depth_scale_finding(medians_m, dataset.recording.depth_scale)
-    registration = measure_registration(frames).verdict()
-    return tuple(line for line in (scale, depth_kind_fault(frames), registration) if line)
+    return (*([scale] if scale else []), *_depth_faults(frames))
 
 
 def camera_faults(camera: Camera) -> tuple[str, ...]:
@@ -76,11 +75,11 @@ def pose_faults(recording: Recording) -> tuple[str, ...]:
     past_m = np.linalg.norm(positions_m[2:] - positions_m[:-2], axis=1)
     jumps = away_m > max(_JUMP_M, _JUMP_STEPS * float(np.median(steps_m)))
     jumps &= past_m < _RETURN * away_m
+    if not jumps.any():
+        return ()
     names = {files.timestamp_s: files.name for files in recording.files}
     times_s = truth.timestamps_s[1:-1][jumps].tolist()
     jumping = [names.get(time_s, f"{time_s:.3f} s") for time_s in times_s]
-    if not jumping:
-        return ()
     return (
         f"{len(jumping)} ground-truth pose(s) are up to {length(float(away_m[jumps].max()))} from "
         f"those of the frames before and after; correct or remove them: {listed(jumping)}",
@@ -89,10 +88,16 @@ def pose_faults(recording: Recording) -> tuple[str, ...]:
 
 def depth_faults(dataset: RecordedDataset) -> list[str]:
     """Lines about depth of another kind, and about depth that is not registered to colour."""
-    chosen = evenly_spaced_frames(len(dataset), _FRAMES)
-    kind = depth_kind_fault(readable_frames(dataset, chosen))
-    registration = measure_registration(readable_frames(dataset, chosen)).verdict()
-    return [line for line in (kind, registration) if line]
+    return _depth_faults(_spread_frames(dataset))
+
+
+def _depth_faults(frames: Sequence[Frame]) -> list[str]:
+    lines = depth_kind_fault(frames), measure_registration(frames).verdict()
+    return [line for line in lines if line]
+
+
+def _spread_frames(dataset: RecordedDataset) -> list[Frame]:
+    return list(readable_frames(dataset, evenly_spaced_frames(len(dataset), _FRAMES)))
 
 
 def depth_scale_finding(medians_m: Sequence[float], depth_scale: float) -> str | None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.pairing import (
     attach_poses,
+    by_key,
     folder_holding,
     in_order,
     pairing_flaws,
@@ -193,15 +194,8 @@ def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     Raises:
         DatasetError: two files have the same stem.
     """
-    found: dict[str, Path] = {}
-    for file in visible(folder) if folder.is_dir() else ():
-        if file.suffix.lower() not in suffixes:
-            continue
-        if file.stem in found:
-            raise DatasetError(
-                f"{folder} contains both {found[file.stem].name} and {file.name}; keep one of them"
-            )
-        found[file.stem] = file
+    files = visible(folder) if folder.is_dir() else ()
+    found = by_key((file.stem, file) for file in files if file.suffix.lower() in suffixes)
     return {stem: found[stem] for stem in in_order(found)}
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.trajectories import read_matrix
 from toolkit.io.user_files import visible
+
+Key = TypeVar("Key", int, str)
 
 # From the axes of OpenGL's camera, y up and z back, to ours: T_world_camera = T @ OPENGL_AXES.
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -100,18 +103,26 @@ def numbered(folder: Path, pattern: str) -> dict[int, Path]:
         DatasetError: two files have the same number.
     """
     expression = re.compile(pattern)
-    found: dict[int, Path] = {}
-    for file in visible(folder) if folder.is_dir() else ():
-        match = expression.fullmatch(file.name)
-        if match is None:
-            continue
-        number = int(match.group(1))
-        if number in found:
-            raise DatasetError(
-                f"{folder} contains both {found[number].name} and {file.name}; keep one of them"
-            )
-        found[number] = file
+    files = visible(folder) if folder.is_dir() else ()
+    matches = ((expression.fullmatch(file.name), file) for file in files)
+    found = by_key((int(match.group(1)), file) for match, file in matches if match)
     return dict(sorted(found.items()))
+
+
+def by_key(files: Iterable[tuple[Key, Path]]) -> dict[Key, Path]:
+    """Return files by what identifies their frame.
+
+    Raises:
+        DatasetError: two files have the same key.
+    """
+    found: dict[Key, Path] = {}
+    for key, file in files:
+        if key in found:
+            raise DatasetError(
+                f"{file.parent} contains both {found[key].name} and {file.name}; keep one of them"
+            )
+        found[key] = file
+    return found
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:

@@ -41,5 +41,10 @@ class LengthNames:
             "one with --scale",
         )
 
+    @property
+    def note_lines(self) -> tuple[str, ...]:
+        """The notes as lines of a program's output."""
+        return tuple(f"Note: {note}." for note in self.notes)
+
 
 METRES = LengthNames()

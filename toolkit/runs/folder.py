@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -28,8 +27,7 @@ from numpy.typing import NDArray
 
 from toolkit import __version__
 from toolkit.errors import FormatError, RunFolderError, SettingsError
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, PIXEL_FILTER, GaussianCloud
-from toolkit.gaussians.ellipsoids import SHAPES, Ellipsoids
+from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_bytes
@@ -37,9 +35,9 @@ from toolkit.io.covariances import write_covariances
 from toolkit.io.object_embeddings import OBJECTS
 from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.io.splat_parts import write_splat_parts
-from toolkit.io.splats import Splats, read_splats
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.runs.lock import LOCK, is_unused
+from toolkit.runs.splat_clouds import read_cloud
 from toolkit.semantics.taxonomy import Taxonomy
 
 _log = logging.getLogger(__name__)
@@ -391,30 +389,3 @@ class MapPart:
         if self.submap is not None:
             columns["submap"] = np.full(len(self.gaussians), self.submap, np.int32)
         return columns if self.instances is None else columns | {INSTANCE: self.instances}
-
-
-def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:
-    """Read the Gaussians of a splat file, in any of the formats of `read_splats`.
-
-    Raises:
-        DatasetError: the file is missing.
-        FormatError: it is not a splat file.
-    """
-    return cloud_of(read_splats(path))
-
-
-def cloud_of(splats: Splats) -> GaussianCloud:
-    """The Gaussians of a splat file."""
-    arrays = (splats.means, splats.log_radii, splats.opacity_logits, splats.colours)
-    means, log_radii, opacity_logits, colours = (
-        torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in arrays
-    )
-    cloud = GaussianCloud(means, log_radii, opacity_logits, colours, torch.zeros(len(means), 0))
-    if splats.ellipsoids is None:
-        return cloud
-    tensors = (torch.from_numpy(getattr(splats.ellipsoids, name)) for name in SHAPES)
-    return replace(
-        cloud,
-        ellipsoids=Ellipsoids(*tensors),
-        low_pass=PIXEL_FILTER if splats.pixel_filter else LOW_PASS_3DGS,
-    )

@@ -8,9 +8,10 @@ from toolkit.instances.result import InstanceMap
 from toolkit.io.object_embeddings import ObjectEmbeddings, write_objects
 from toolkit.io.splat_labels import SplatLabels, instances_in
 from toolkit.io.splats import Splats, read_splats
-from toolkit.runs.folder import RunFolder, cloud_of
+from toolkit.runs.folder import RunFolder
 from toolkit.runs.map_files import object_values
 from toolkit.runs.object_embedding import collected
+from toolkit.runs.splat_clouds import cloud_of
 from toolkit.semantics.boxes import oriented_box
 from toolkit.semantics.embedding_fusion import FusedEmbedding
 from toolkit.semantics.options import ObjectOptions

@@ -23,7 +23,7 @@ from toolkit.geometry.frustum import Frustum, far_depth_m, observed_points
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import read_splats
 from toolkit.loops.log import read_loop_log
-from toolkit.runs.folder import cloud_of
+from toolkit.runs.splat_clouds import cloud_of
 from toolkit.semantics.floor_plan import (
     PlanDrawing,
     PlanEdge,

@@ -15,8 +15,8 @@ from toolkit.frame import Frame
 from toolkit.keyframe import evenly_spaced
 from toolkit.loops.splat_maps.metric_map import MapParts, MetricMap, metric_map
 from toolkit.rendering import backend
-from toolkit.runs.folder import read_cloud
 from toolkit.runs.settings import RunSettings
+from toolkit.runs.splat_clouds import read_cloud
 from toolkit.tracking.depth_filter import DepthFilter
 from toolkit.tracking.factory import build_tracker
 from toolkit.tracking.tracker import LocatingTracker
