@@ -114,7 +114,11 @@ class Recovery:
         with self._recorder.timed(Stage.RELOCALISATION):
             parts = self._closer.parts(self._atlas)
             last = self._path.last_position(self._atlas, parts)
-            found = relocaliser.find(frame, self._atlas, tracker, last, anywhere=out_of_patience)
+            found = None
+            if not lost.ambiguous:
+                found = relocaliser.find(
+                    frame, self._atlas, tracker, last, anywhere=out_of_patience
+                )
         active = self._atlas.active if self._atlas.has_active_submap else None
         if found is not None and found.submap == active:
             tracker.continue_from(frame.timestamp_s, found.T_submap_camera)

@@ -45,7 +45,8 @@ from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.threads import single_threaded_blas
-from toolkit.tracking.health import is_black
+from toolkit.tracking.evidence import shows_much_unmapped
+from toolkit.tracking.health import has_depth, is_black
 from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
 from toolkit.tracking.tracker import LocatingTracker
 
@@ -204,7 +205,7 @@ class Slam:
         may_map &= not located.doubtful and not is_black(frame)
         if may_map:
             frame = self._preparation.for_mapping(frame, T_map_camera)
-        if may_map and self._wants(frame, T_map_camera):
+        if may_map and self._wants(frame, T_map_camera, tracking):
             again = self._changes.seen_again(frame, T_map_camera, tracking)
             if again is None:
                 frame = self._preparation.as_keyframe(observed, frame, T_map_camera)
@@ -337,9 +338,13 @@ class Slam:
             if number not in self.atlas.unreadable:
                 self.atlas.put(self.unit.submap_in_metres(self.atlas.submap(number)))
 
-    def _wants(self, frame: Frame, T_map_camera: NDArray[np.float64]) -> bool:
+    def _wants(
+        self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
+    ) -> bool:
         """Whether the active submap should have a frame as a keyframe."""
         keyframes, visited = self.atlas.keyframes, self.atlas.visited
+        if shows_much_unmapped(tracking) and has_depth(frame):
+            return True
         if not self.mapper.wants(keyframes, frame, T_map_camera, visited):
             return False
         return not self._changes.shows_surface(keyframes, frame, T_map_camera)

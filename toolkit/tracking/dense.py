@@ -21,6 +21,7 @@ from toolkit.alignment.backend import align, linearise
 from toolkit.alignment.data import (
     INITIAL_SCALES,
     Alignment,
+    FrameLevel,
     GaussNewtonOptions,
     LevelProblem,
     ResidualScales,
@@ -33,9 +34,11 @@ from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.stages import Stage
+from toolkit.tracking.combination import combined
 from toolkit.tracking.evidence import is_clear, is_convincing, quality, unexpected_reason
 from toolkit.tracking.health import has_depth, relaxed_scales
 from toolkit.tracking.judgement import judged
+from toolkit.tracking.landmarks import FeaturePose, Landmarks
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.odometry import frame_to_model
 from toolkit.tracking.options import DenseOptions
@@ -86,6 +89,8 @@ class DenseTracker(MovingTracker):
         self._prepared = PreparedFrames(self.options.levels, self.options.max_width)
         self._recorder = recorder or NullRecorder()
         self._renderer = MapRenderer(backend_name, self._recorder)
+        self._landmarks = Landmarks()
+        self._newest: FrameLevel | None = None
         self._scales = INITIAL_SCALES
         self._exposure = IDENTITY
 
@@ -110,6 +115,27 @@ class DenseTracker(MovingTracker):
         self._scales = ResidualScales(*(float(s) for s in state["scales"]))
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
 
+    def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
+        """The identity, because the map's frame is that of the first camera; None if unusable."""
+        T_map_camera = super().first_pose(frame)
+        if T_map_camera is not None:
+            self._landmarks = Landmarks()
+            self._landmarks.extend(self._prepared.of(frame, torch.device("cpu")).levels[0])
+        return T_map_camera
+
+    def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
+        """Change the coordinate frame of the map."""
+        super().change_frame(T_new_old)
+        self._landmarks.change_frame(T_new_old)
+
+    def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
+        """Continue from a pose [4, 4], without a velocity."""
+        super().continue_from(timestamp_s, T_map_camera)
+        self._landmarks = Landmarks()
+        if self._newest is not None:
+            self._landmarks.extend(self._newest)
+            self._landmarks.settle(T_map_camera)
+
     def track(
         self, frame: Frame, gaussians: GaussianCloud, proposals: Proposals | None = None
     ) -> TrackingResult:
@@ -118,13 +144,21 @@ class DenseTracker(MovingTracker):
         last = self.motion.last()
         if last is not None:
             starts.append(last)
-        result = self.locate(frame, gaussians, *starts, proposals=proposals)
+        level = self._prepared.of(frame, gaussians.means.device).levels[0]
+        self._newest = level
+        if last is not None:
+            self._landmarks.settle(last)
+        features = self._landmarks.locate(level, starts)
+        result = self.locate(frame, gaussians, *starts, proposals=proposals, features=features)
         if result.health is Health.GOOD:
             self.motion.update(frame.timestamp_s, result.T_map_camera)
             self._scales = ResidualScales(result.intensity_residual, result.depth_residual_m)
             self._exposure = result.exposure
+            self._landmarks.extend(level)
         else:
             self.motion.forget_velocity()
+            if result.lost:
+                self._landmarks.undo()
             if has_depth(frame):
                 self._scales = relaxed_scales(self._scales)
         return result
@@ -136,6 +170,7 @@ class DenseTracker(MovingTracker):
         *starts: NDArray[np.float64],
         proposals: Proposals | None = None,
         search: bool = True,
+        features: FeaturePose | None = None,
     ) -> TrackingResult:
         """Locate a frame near one of several initial poses; the tracker's state does not change.
 
@@ -148,11 +183,17 @@ class DenseTracker(MovingTracker):
         Raises:
             DependencyError: `start` is "both" and Open3D cannot be loaded.
         """
-        task = Task(self._prepared.of(frame, gaussians.means.device), gaussians)
+        task = Task(self._prepared.of(frame, gaussians.means.device), gaussians, features)
+        if features is not None:
+            starts = (features.T_map_camera, *starts)
         view = self._render(task, starts[0])
-        start = self._best_start(task, view, starts)
-        results = [self._align(task, view, start)]
-        if search and has_depth(frame) and not is_convincing(results[0].similarity):
+        if features is not None:
+            start = starts[0]
+            results = [self._align(task, view, start, _FINE_LEVELS)]
+        else:
+            start = self._best_start(task, view, starts)
+            results = [self._align(task, view, start)]
+        if features is None and search and has_depth(frame) and not is_convincing(results[0].similarity):
             results.extend(self._finely_aligned(task, view, start, results[0]))
         likely = max(results, key=_rank)
         unclear = has_depth(frame) and not self._is_expected(task, likely, starts[0])
@@ -330,8 +371,14 @@ class DenseTracker(MovingTracker):
         judgement = judged(self.limits, task, view, alignment, _MAX_DISTANCE, self._recorder)
         # Alignment that fails immediately returns a product of this tracker's own poses. Without
         # orthonormalisation, rounding errors would accumulate over a few hundred such frames.
+        T = se3.orthonormalise(view.T_map_view @ alignment.T_view_camera)
+        found = combined(T, judgement.determined, task.features)
+        ambiguity = found.ambiguity if has_depth(task.frame) else ""
+        health, reason = judgement.health, judgement.reason
+        if health is Health.GOOD and ambiguity:
+            health, reason = Health.DOUBTFUL, ambiguity
         return TrackingResult(
-            T_map_camera=se3.orthonormalise(view.T_map_view @ alignment.T_view_camera),
+            T_map_camera=found.T_map_camera,
             converged=alignment.converged,
             iterations=alignment.iterations,
             renders=renders,
@@ -339,10 +386,12 @@ class DenseTracker(MovingTracker):
             depth_residual_m=alignment.scales.depth_m,
             visible_fraction=judgement.visible,
             information=judgement.information,
-            health=judgement.health,
-            reason=judgement.reason,
+            health=health,
+            reason=reason,
+            ambiguous=bool(ambiguity),
             exposure=self._estimated_exposure(task, view, alignment),
             similarity=judgement.similarity,
+            determined=found.information,
         )
 
 

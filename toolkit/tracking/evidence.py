@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 
 from toolkit.alignment.similarity import Similarity
+from toolkit.tracking.result import TrackingResult
 
 # Fewer textured blocks give no reliable correlation; it then has a neutral value.
 _MIN_BLOCKS, _NEUTRAL = 4, 0.5
@@ -32,6 +33,8 @@ _CLEAR_AGREEMENT, _CLEAR_COVERED = 0.85, 0.4
 # Right poses that are neither clear nor near the predicted ones have an agreement of 93 % or more,
 # at strides 3 to 40 of three recordings; the best wrong one had 88 %.
 _UNEXPECTED_AGREEMENT = 0.9
+# A frame of which the map covers less becomes a keyframe.
+_SOON_UNCOVERED = 0.5
 # Most frames of a slow camera have this evidence.
 _CONVINCING_CORRELATION, _CONVINCING_LOW_CORRELATION = 0.92, 0.85
 
@@ -99,3 +102,12 @@ def unexpected_reason(similarity: Similarity | None) -> str:
         return ""
     share = 100 * similarity.agreeing
     return f"only {share:.0f} % of the depth agrees with the map after an unexpected motion"
+
+
+def shows_much_unmapped(result: TrackingResult | None) -> bool:
+    """Whether the map covers so little of a tracked frame that the next one may be lost.
+
+    A camera that moves backwards sees all of the last keyframe, and much else.
+    """
+    similarity = None if result is None else result.similarity
+    return similarity is not None and similarity.covered < _SOON_UNCOVERED

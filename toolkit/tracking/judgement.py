@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.covariance import weakest_rise
 from toolkit.alignment.data import Alignment, LevelProblem
+from toolkit.alignment.determinacy import Determinacy, determinacy
 from toolkit.alignment.health import HealthLimits, failure_reason
 from toolkit.alignment.similarity import Similarity, aligned_correlation
 from toolkit.frame import Recorder
+from toolkit.geometry import se3
 from toolkit.stages import Stage
 from toolkit.tracking.evidence import doubt_reason, lacks_texture
 from toolkit.tracking.result import Health
@@ -30,6 +31,7 @@ class Judgement:
         reason: why the frame is doubtful or lost; empty if it is neither.
         visible: fraction of the measured pixels that were aligned.
         information: [6, 6] of the pose at the finest level; 0 if nothing was aligned.
+        determinacy: of the alignment.
     """
 
     health: Health
@@ -37,6 +39,8 @@ class Judgement:
     similarity: Similarity
     visible: float
     information: NDArray[np.float64]
+    determinacy: Determinacy | None = None
+    determined: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 def judged(
@@ -61,19 +65,19 @@ def judged(
     health = Health.LOST if reason else Health.GOOD
     level = _level(task)
     model, frame, T_view_camera = view.levels[level], task.levels[level], alignment.T_view_camera
+    found = None
     with recorder.timed(Stage.TRACKING_EVIDENCE):
         similarity = aligned_correlation(model, frame, T_view_camera)
         if not reason:
-            rise = None
-            if lacks_texture(similarity):
-                scales, exposure = alignment.scales, alignment.exposure
-                gate = max_distance * 2**level
-                rise = weakest_rise(
-                    LevelProblem(model, frame, T_view_camera, scales, exposure, gate)
-                )
+            scales, exposure = alignment.scales, alignment.exposure
+            gate = max_distance * 2**level
+            found = determinacy(LevelProblem(model, frame, T_view_camera, scales, exposure, gate))
+            rise = float(found.rises.min()) if lacks_texture(similarity) else None
             reason = doubt_reason(similarity, rise)
             health = Health.DOUBTFUL if reason else health
-    return Judgement(health, reason, similarity, visible, information)
+    adjoint = se3.adjoint(T_view_camera)
+    determined = np.zeros((6, 6)) if found is None else adjoint.T @ found.information @ adjoint
+    return Judgement(health, reason, similarity, visible, information, found, determined)
 
 
 def _level(task: Task) -> int:

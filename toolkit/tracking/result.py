@@ -38,6 +38,10 @@ class TrackingResult:
         reason: why the frame is doubtful or lost; empty if it is neither.
         exposure: exposure of the frame against the map.
         similarity: of the frame and the map at the pose; None if it was not measured.
+        determined: [6, 6] as `information`, but by the rise of the cost and by the features; None
+            if that was not measured.
+        ambiguous: whether other motions explain the frame as well, so that it cannot be relocalised
+            either.
     """
 
     T_map_camera: NDArray[np.float64]
@@ -52,6 +56,8 @@ class TrackingResult:
     reason: str = ""
     exposure: Exposure = IDENTITY
     similarity: Similarity | None = None
+    determined: NDArray[np.float64] | None = field(default=None, repr=False)
+    ambiguous: bool = False
 
     @property
     def lost(self) -> bool:

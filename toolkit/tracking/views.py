@@ -15,6 +15,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.stages import Stage
+from toolkit.tracking.landmarks import FeaturePose
 from toolkit.tracking.prepared import PreparedFrame
 
 Array = NDArray[np.float64]
@@ -61,6 +62,7 @@ class Task:
 
     prepared: PreparedFrame
     gaussians: GaussianCloud
+    features: FeaturePose | None = None
 
     @property
     def frame(self) -> Frame:

@@ -13,7 +13,7 @@ from toolkit.alignment.levels import intensity_of
 from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.visual_odometry.odometry import OdometryResult, State, VisualOdometry
-from toolkit.monocular.visual_odometry.tracks import FeatureTracks
+from toolkit.features.tracks import FeatureTracks
 
 
 def grey(frame: Frame) -> np.ndarray:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.geometry.camera import Camera
 from toolkit.monocular.bundle_adjustment.problem import BundleProblem, Landmarks, Observations
-from toolkit.monocular.visual_odometry.tracks import Features
+from toolkit.features.tracks import Features
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from toolkit.monocular.visual_odometry.initialisation import MEDIAN_DEPTH, Refus
 from toolkit.monocular.visual_odometry.landmarks import OdometryView, bundle, held
 from toolkit.monocular.visual_odometry.reversal import without_reversal
 from toolkit.monocular.visual_odometry.sparse_map import MAX_ERROR_PX, SparseMap
-from toolkit.monocular.visual_odometry.tracks import Features, FeatureTracks
+from toolkit.features.tracks import Features, FeatureTracks
 from toolkit.monocular.visual_odometry.two_view import parallax_rad, triangulate
 
 Array = NDArray[np.float64]

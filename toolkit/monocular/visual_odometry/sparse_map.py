@@ -13,7 +13,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.monocular.bundle_adjustment.problem import BundleOptions, BundleResult
 from toolkit.monocular.bundle_adjustment.solver import adjust
 from toolkit.monocular.visual_odometry.landmarks import LandmarkTable, OdometryView, bundle
-from toolkit.monocular.visual_odometry.tracks import Features
+from toolkit.features.tracks import Features
 from toolkit.monocular.visual_odometry.two_view import rays
 
 Array = NDArray[np.float64]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from toolkit.features.keypoints import detect_keypoints, match_keypoints
+
+Array = NDArray[np.float64]
 
 # Quality of a corner relative to the best one in the image, and half the block that it is
 # computed from.
@@ -24,6 +27,8 @@ _MAX_RETURN_PX = 0.5
 _BORDER_PX = 4.0
 # Where optical flow keeps fewer features, matched keypoints predict where they are.
 _MIN_FOLLOWED = 0.3
+# Where more are followed, no other guess of their places is tried.
+_MOSTLY_FOLLOWED = 0.6
 _KEYPOINTS, _RATIO, _MIN_MATCHES, _MATCH_ERROR_PX = 600, 0.8, 8, 1.5
 _NEIGHBOURS = 3
 # Relative changes of brightness or contrast between two images that Lucas-Kanade need not mind.
@@ -70,15 +75,32 @@ class FeatureTracks:
         self._next_id = 0
         self.features = NO_FEATURES
 
-    def follow(self, image: NDArray[np.uint8]) -> Features:
-        """Follow the features into the next image [H, W]; those that are lost are removed."""
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        """The newest image [H, W]."""
+        assert self._image is not None, "no image yet"
+        return self._image
+
+    def follow(self, image: NDArray[np.uint8], guesses: Sequence[Array] = ()) -> Features:
+        """Follow the features into the next image [H, W]; those that are lost are removed.
+
+        Args:
+            guesses: [N, 2] pixels where the features may be, the likeliest first; by default, where
+                dense optical flow leads.
+        """
         last, self._image = self._image, image
         if last is None or not len(self.features):
             return self.features
         before = self.features.px.astype(np.float32)
-        flow = self._flow.calc(last, image, None)
-        column, row = np.round(before).astype(int).T
-        after, good = _followed(last, image, before, before + flow[row, column])
+        after, good = before, np.zeros(len(before), bool)
+        tried = [(guess, _LEVELS) for guess in guesses or (self._flowed(last, image, before),)]
+        # A pattern that repeats within some pixels is another one at coarser levels.
+        for guess, levels in [*tried, (before, 0)]:
+            other, found = _followed(last, image, before, guess.astype(np.float32), levels)
+            if found.sum() > good.sum():
+                after, good = other, found
+            if good.mean() >= _MOSTLY_FOLLOWED:
+                break
         if good.mean() < _MIN_FOLLOWED:
             guess = _guess_by_keypoints(last, image, before)
             if guess is not None:
@@ -87,6 +109,12 @@ class FeatureTracks:
                     after, good = other, found
         self.features = Features(self.features.ids[good], after[good].astype(np.float64))
         return self.features
+
+    def _flowed(self, last: NDArray[np.uint8], image: NDArray[np.uint8], before: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Places [N, 2] of features by dense optical flow."""
+        flow = self._flow.calc(last, image, None)
+        column, row = np.round(before).astype(int).T
+        return before + flow[row, column]
 
     def continue_from(self, image: NDArray[np.uint8], features: Features) -> None:
         """Follow features from another image [H, W] into the next one."""
@@ -128,11 +156,12 @@ def _followed(
     image: NDArray[np.uint8],
     before: NDArray[np.float32],
     guess: NDArray[np.float32],
+    levels: int = _LEVELS,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Places [N, 2] of features in the next image, and which of them have been found."""
     last = _with_exposure_of(image, guess, last, before)
-    after, found = _lucas_kanade(last, image, before, guess)
-    back, returned = _lucas_kanade(image, last, after, before)
+    after, found = _lucas_kanade(last, image, before, guess, levels)
+    back, returned = _lucas_kanade(image, last, after, before, levels)
     height, width = image.shape
     inside = (after >= _BORDER_PX) & (after <= np.array([width, height]) - 1 - _BORDER_PX)
     good = found & returned & inside.all(1)
@@ -197,6 +226,7 @@ def _lucas_kanade(
     second: NDArray[np.uint8],
     px: NDArray[np.float32],
     guess: NDArray[np.float32],
+    levels: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     found, status, _ = cv2.calcOpticalFlowPyrLK(
         first,
@@ -204,7 +234,7 @@ def _lucas_kanade(
         px.reshape(-1, 1, 2),
         guess.reshape(-1, 1, 2).copy(),
         winSize=(_WINDOW_PX, _WINDOW_PX),
-        maxLevel=_LEVELS,
+        maxLevel=levels,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
     )

@@ -1,0 +1,74 @@
+"""The pose that dense alignment and features determine together.
+
+Each source is weighted by what it measures: alignment by the rise of its cost, features by their
+errors. Features of a sensor whose depth is not registered to its colours, or whose rows are exposed
+one after another, contradict alignment by more than that; then they count less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.alignment.determinacy import UNITS
+from toolkit.geometry import se3
+from toolkit.tracking.landmarks import FeaturePose
+
+Array = NDArray[np.float64]
+
+# Information that is assumed where neither source has any.
+_WEAK = 1e-3 * np.eye(6)
+# Standard deviation, in units of `UNITS`, of a direction that a frame does not determine.
+_UNDETERMINED = 0.2
+_NAMES = ("to the side", "up and down", "forwards and backwards", "pitch", "yaw", "roll")
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """A pose with all that is known about it.
+
+    Attributes:
+        T_map_camera: [4, 4].
+        information: [6, 6] of x in T_map_camera exp(x).
+        disagreement: squared distance of both sources per degree of freedom, 1 if they agree within
+            their errors; 0 without features.
+        motions: see `FeaturePose`.
+    """
+
+    T_map_camera: Array
+    information: Array = field(repr=False)
+    disagreement: float = 0.0
+    motions: tuple[float, float] | None = None
+
+    @property
+    def ambiguity(self) -> str:
+        """Why other motions explain the frame as well; empty if none does."""
+        if self.motions is not None:
+            first, second = (100.0 * share for share in self.motions)
+            return f"{first:.0f} % of the features move in one way, {second:.0f} % in another"
+        scaled = self.information * np.outer(UNITS, UNITS)
+        variances, axes = np.linalg.eigh(np.linalg.inv(scaled + np.diag(UNITS**2)))
+        if variances[-1] < _UNDETERMINED**2:
+            return ""
+        name = _NAMES[int(np.argmax(np.abs(axes[:, -1])))]
+        return f"the view does not determine the motion: {name}"
+
+
+def combined(T_map_camera: Array, information: Array, features: FeaturePose | None) -> Combination:
+    """Combine the result of an alignment with the pose of the features.
+
+    Args:
+        T_map_camera: [4, 4] by alignment.
+        information: [6, 6] of x in T_map_camera exp(x), by alignment.
+    """
+    if features is None:
+        return Combination(T_map_camera, information)
+    difference = se3.log(se3.inverse(T_map_camera) @ features.T_map_camera)
+    covariance = np.linalg.inv(information + _WEAK) + np.linalg.inv(features.information + _WEAK)
+    disagreement = float(difference @ np.linalg.solve(covariance, difference)) / len(difference)
+    own = features.information / max(1.0, disagreement) ** 2
+    step = np.linalg.solve(information + own + _WEAK, own @ difference)
+    T_map_camera = se3.orthonormalise(T_map_camera @ se3.exp(step))
+    return Combination(T_map_camera, information + own, disagreement, features.motions)
