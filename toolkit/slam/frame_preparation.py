@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.depth_priors.correction import RenderedDepth
-from toolkit.frame import Frame, Recorder
+from toolkit.frame import Frame, Recorder, without_pixels
 from toolkit.mapping.mapper import Mapper
-from toolkit.semantics.labeller import IgnoredPixels, Labeller, without_pixels
+from toolkit.semantics.labeller import IgnoredPixels, Labeller
 from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
