@@ -8,7 +8,7 @@ import pytest
 import yaml
 from moving_room import CAMERA, exposed
 
-from toolkit.datasets.carrier import find_carrier
+from toolkit.datasets.carrier import CellImages, find_carrier
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import RunFolderError
@@ -50,7 +50,8 @@ def with_body(frames: Iterable[Frame], body: np.ndarray, tremor_px: float = 0.0)
     return shown
 
 
-def enlarged(mask: np.ndarray) -> np.ndarray:
+def found_in(frames: Iterable[Frame]) -> np.ndarray:
+    mask = find_carrier([CellImages.of(frame) for frame in frames])
     rows = np.arange(HEIGHT) * mask.shape[0] // HEIGHT
     return mask[np.ix_(rows, np.arange(WIDTH) * mask.shape[1] // WIDTH)]
 
@@ -58,14 +59,14 @@ def enlarged(mask: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", BODIES)
 def test_a_body_is_found(name):
     body = BODIES[name]
-    found = enlarged(find_carrier(with_body(room(), body)))
+    found = found_in(with_body(room(), body))
     assert found[body].all()
     assert found.mean() < body.mean() + 0.12  # its border
 
 
 def test_a_hand_with_tremor_is_found():
     hand = BODIES["a hand"]
-    assert enlarged(find_carrier(with_body(room(), hand, tremor_px=1.0)))[hand].mean() > 0.9
+    assert found_in(with_body(room(), hand, tremor_px=1.0))[hand].mean() > 0.9
 
 
 def test_a_body_with_gaps_in_its_depth_is_found():
@@ -75,7 +76,7 @@ def test_a_body_with_gaps_in_its_depth_is_found():
         for f in with_body(room(), body)
     ]
     frames = [replace(f, depth_m=f.depth_m.astype(np.float32)) for f in frames]
-    assert enlarged(find_carrier(frames))[body].all()
+    assert found_in(frames)[body].all()
 
 
 def blank_floor(frame: Frame, wall_m: float) -> Frame:
@@ -119,7 +120,7 @@ def passer_by(frame: Frame) -> Frame:
     ],
 )
 def test_nothing_else_is_found(frames):
-    assert not find_carrier(frames).any()
+    assert not find_carrier([CellImages.of(frame) for frame in frames]).any()
 
 
 @pytest.fixture(scope="module")

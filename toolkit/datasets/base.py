@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.orientation import oriented
 from toolkit.datasets.prefetch import prefetched
-from toolkit.datasets.resize import ImageGrid, enlarge_depth, resize_colour
+from toolkit.datasets.resize import ImageGrid, enlarge_depth, enlarge_mask, resize_colour
 from toolkit.datasets.sparse_depth import filled
 from toolkit.datasets.undistortion import Undistortion
 from toolkit.errors import DatasetError
@@ -203,11 +202,7 @@ class RecordedDataset:
         self.camera = self._grid.camera if self._grid else recording.camera
         self._ignored: NDArray[np.bool_] | None = None
         if recording.carrier is not None:
-            carrier = cv2.resize(
-                recording.carrier.astype(np.uint8),
-                recording.camera.size,
-                interpolation=cv2.INTER_NEAREST_EXACT,
-            ).astype(np.bool_)
+            carrier = enlarge_mask(recording.carrier, recording.camera.size)
             self._ignored = self._grid.nearest(carrier) if self._grid else carrier
         # A crop contains a part of the rows.
         rows = self.camera.height / self.camera.fy * recording.camera.fy / recording.camera.height

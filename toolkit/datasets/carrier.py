@@ -61,7 +61,7 @@ def without_carrier(recording: Recording, max_frames: int | None = None) -> Reco
     if any(files.depth is None for files in recording.files[:max_frames]):
         return recording
     chosen = evenly_spaced_frames(len(frames), _FRAMES)
-    mask = find_carrier(list(readable_frames(frames, chosen)))
+    mask = find_carrier([CellImages.of(frame) for frame in readable_frames(frames, chosen)])
     if not mask.any():
         return recording
     return replace(recording, carrier=mask, notes=(*recording.notes, note_about(mask)))
@@ -76,19 +76,44 @@ def note_about(carrier: Mask) -> str:
     )
 
 
-def find_carrier(frames: Sequence[Frame]) -> Mask:
-    """Find the cells [H, W], about 80 in a row, that move with the camera.
+@dataclass(frozen=True, eq=False)
+class CellImages:
+    """A frame in cells.
+
+    Attributes:
+        depth_m: [H, W] mean depth in metres, 0 where most of a cell is missing.
+        rgb: [H, W, 3] mean colour in [0, 1].
+    """
+
+    depth_m: NDArray[np.float32]
+    rgb: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, frame: Frame) -> CellImages:
+        """Those of a frame."""
+        height, width = frame.depth_m.shape
+        size = _CELLS, max(1, round(_CELLS * height / width))
+        rgb, depth_m, measured = (
+            np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
+            for image in (frame.rgb, frame.depth_m, (frame.depth_m > 0).astype(np.float32))
+        )
+        mean_m = np.where(measured >= 0.5, depth_m / np.maximum(measured, 0.5), 0.0)
+        return cls(mean_m.astype(np.float32), rgb)
+
+
+def find_carrier(images: Sequence[CellImages]) -> Mask:
+    """Find the cells [H, W] that move with the camera.
 
     Args:
-        frames: of one camera, spread over a sequence.
+        images: of one camera, spread over a sequence.
     """
-    cells = _Cells.of(frames)
-    if cells is None:
+    pairs = _Pairs.of(images)
+    if pairs is None:
         return np.zeros((1, 1), bool)
-    constant, carrier = np.zeros(cells.shape, bool), np.zeros(cells.shape, bool)
+    constant, carrier = np.zeros(pairs.shape, bool), np.zeros(pairs.shape, bool)
     for motion in (_MOTION, _CLEAR_MOTION):
-        constant = cells.constant(~_grown(constant, _BORDER), motion)
-        regions = [region for region in cells.regions(constant) if cells.is_in_front(region)]
+        constant = pairs.constant(~_grown(constant, _BORDER), motion)
+        regions = [region for region in pairs.regions(constant) if pairs.is_in_front(region)]
         carrier = np.logical_or.reduce([np.zeros_like(constant), *regions])
         if not carrier.any():
             break
@@ -96,13 +121,13 @@ def find_carrier(frames: Sequence[Frame]) -> Mask:
 
 
 @dataclass(frozen=True, eq=False)
-class _Cells:
-    """Frames in cells.
+class _Pairs:
+    """All pairs of some images.
 
     Attributes:
-        depth_m: [N, H, W] mean depth, 0 where most of a cell is missing.
-        both, same: [P, H, W] for each pair of frames, the cells that are measured in both, and
-            those of them that have the same depth and colour.
+        depth_m: [N, H, W] of the images.
+        both, same: [P, H, W] for each pair, the cells that are measured in both images, and those
+            of them that have the same depth and colour.
     """
 
     depth_m: NDArray[np.float32]
@@ -110,12 +135,13 @@ class _Cells:
     same: Mask
 
     @classmethod
-    def of(cls, frames: Sequence[Frame]) -> _Cells | None:
-        """The frames in cells; None for too few of them."""
-        one, other = np.triu_indices(len(frames), 1)
+    def of(cls, images: Sequence[CellImages]) -> _Pairs | None:
+        """The pairs; None for too few of them."""
+        one, other = np.triu_indices(len(images), 1)
         if len(one) < _MIN_PAIRS:
             return None
-        depth_m, rgb = map(np.stack, zip(*map(_in_cells, frames), strict=True))
+        depth_m = np.stack([image.depth_m for image in images])
+        rgb = np.stack([image.rgb for image in images])
         both = (depth_m[one] > 0) & (depth_m[other] > 0)
         same = both & (np.abs(rgb[one] - rgb[other]) <= _SAME_COLOUR).all(axis=-1)
         nearer = np.minimum(depth_m[one], depth_m[other])
@@ -173,18 +199,6 @@ class _Cells:
         """Mean depth [H, W] over the frames."""
         count = np.maximum((self.depth_m > 0).sum(axis=0), 1)
         return (self.depth_m.sum(axis=0) / count).astype(np.float32)
-
-
-def _in_cells(frame: Frame) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Mean depth [H, W] and colour [H, W, 3] of the cells of a frame."""
-    height, width = frame.depth_m.shape
-    size = _CELLS, max(1, round(_CELLS * height / width))
-    rgb, depth_m, measured = (
-        np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-        for image in (frame.rgb, frame.depth_m, (frame.depth_m > 0).astype(np.float32))
-    )
-    mean_m = np.where(measured >= 0.5, depth_m / np.maximum(measured, 0.5), 0.0)
-    return mean_m.astype(np.float32), rgb
 
 
 def _grown(mask: Mask, cells: int) -> Mask:

@@ -32,11 +32,14 @@ class FrameSources:
         denoise: filter the depth of each frame according to its noise.
         ignored: finds what is neither tracked against nor mapped without labels; with labels, the
             labeller finds it.
+        watches_carrier: find what moves with the camera in the first frames; False if it is ignored
+            in the frames already.
     """
 
     labeller: Labeller | None = None
     denoise: bool = True
     ignored: IgnoredPixels | None = None
+    watches_carrier: bool = False
 
 
 class FramePreparation:
