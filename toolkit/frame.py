@@ -76,7 +76,7 @@ def without_pixels(frame: Frame, pixels: NDArray[np.bool_]) -> Frame:
     return replace(
         frame,
         labels=None if labels is None else np.where(pixels, 0, labels).astype(np.int32),
-        depth_m=np.where(pixels, 0.0, frame.depth_m).astype(np.float32),
+        depth_m=np.where(pixels, np.float32(0.0), frame.depth_m),
         inferred=None if frame.inferred is None else frame.inferred & ~pixels,
         ignored=pixels if frame.ignored is None else frame.ignored | pixels,
     )
