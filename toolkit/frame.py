@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -66,6 +66,20 @@ class Frame:
                     f"{name} must be {np.dtype(dtype)} of shape {list(shape)}, "
                     f"got {image.dtype} {list(image.shape)}"
                 )
+
+
+def without_pixels(frame: Frame, pixels: NDArray[np.bool_]) -> Frame:
+    """Return a frame that is ignored at more pixels [H, W], without depth and labels there."""
+    if not pixels.any():
+        return frame
+    labels = frame.labels
+    return replace(
+        frame,
+        labels=None if labels is None else np.where(pixels, 0, labels).astype(np.int32),
+        depth_m=np.where(pixels, np.float32(0.0), frame.depth_m),
+        inferred=None if frame.inferred is None else frame.inferred & ~pixels,
+        ignored=pixels if frame.ignored is None else frame.ignored | pixels,
+    )
 
 
 class FrameStamp(Protocol):

@@ -91,6 +91,19 @@ def test_a_view_is_scored_on_colour_and_depth() -> None:
     assert quality.ms_ssim is None
 
 
+def test_ignored_pixels_are_not_scored() -> None:
+    rgb, depth_m = np.full((20, 24, 3), 0.5, np.float32), np.full((20, 24), 2.0, np.float32)
+    ignored = np.zeros((20, 24), bool)
+    ignored[15:] = True
+    depth_m[ignored] = 0.0
+    wrong = np.where(ignored[..., None], 0.0, rgb + 0.1).astype(np.float32)
+    quality = view_quality((wrong, depth_m), (rgb, depth_m), ignored=ignored)
+    assert quality.psnr_db == pytest.approx(20.0, abs=1e-3)
+    assert quality.psnr_measured_db == pytest.approx(20.0, abs=1e-3)
+    assert quality.psnr_per_channel_db > 20.0
+    assert quality.psnr_inferred_db is None
+
+
 def test_times_are_per_frame_of_the_whole_run() -> None:
     metrics = cost_metrics(COSTS)["time"]
     assert metrics["tracking_ms_per_frame"] == 25.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toolkit.errors import FormatError
-from toolkit.frame import Frame
+from toolkit.frame import Frame, without_pixels
 from toolkit.geometry.camera import Camera
 from toolkit.semantics.labeller import Labeller
 
@@ -50,6 +50,16 @@ def test_what_is_ignored_has_neither_label_nor_depth(tree):
     assert labelled.labels.tolist() == [[0, bed, 0, 0]] * 2
     assert labelled.depth_m.tolist() == [[0.0, 2.0, 2.0, 0.0]] * 2
     assert labelled.ignored.tolist() == [[True, False, False, True]] * 2
+
+
+@pytest.mark.parametrize("others", [[], ["small"]])
+def test_what_a_frame_ignores_stays_ignored_and_gets_no_label(tree, others):
+    last = np.array([[False, False, False, True]] * 2)
+    ignored = [class_id for name in others for class_id in tree.find(name).class_ids]
+    labeller = Labeller(Fixed([[3, 5, 0, 5]] * 2), tree, ignored=ignored)
+    labelled = labeller.label(without_pixels(frame(), last))
+    assert (labelled.labels[:, 1:] > 0).tolist() == [[True, False, False]] * 2
+    assert labelled.ignored.tolist() == [[bool(others), False, False, True]] * 2
 
 
 @pytest.mark.parametrize("wrong", [4, 77, -1])

@@ -84,9 +84,10 @@ def test_rotation_is_undone_without_any_depth():
 def test_labels_and_inferred_depth_move_with_the_images():
     frame = observed()
     left = np.broadcast_to(np.arange(160) < 80, (120, 160))
-    marked = replace(frame, labels=left.astype(np.int32), inferred=left.copy())
+    marked = replace(frame, labels=left.astype(np.int32), inferred=left.copy(), ignored=left)
     found = rectified(marked, VELOCITY)
     assert np.array_equal(found.labels == 1, found.inferred)
+    assert np.array_equal(found.ignored, found.inferred)
     moved = found.inferred != left
     assert 0 < moved.mean() < 0.05
     assert np.array_equal(found.rgb, rectified(frame, VELOCITY).rgb)

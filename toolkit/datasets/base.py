@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.orientation import oriented
 from toolkit.datasets.prefetch import prefetched
-from toolkit.datasets.resize import ImageGrid, enlarge_depth, resize_colour
+from toolkit.datasets.resize import ImageGrid, enlarge_depth, enlarge_mask, resize_colour
 from toolkit.datasets.sparse_depth import filled
 from toolkit.datasets.undistortion import Undistortion
 from toolkit.errors import DatasetError
-from toolkit.frame import Frame
+from toolkit.frame import Frame, without_pixels
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
@@ -126,6 +126,8 @@ class Recording:
             shifted by it.
         readout_s: time in seconds from the exposure of the first row of an image to that of the
             last, of colour and depth; 0 for a global shutter; None if it is not known.
+        carrier: [h, w] bool, parts of the image that show what carries the camera and are ignored;
+            None for none.
     """
 
     name: str
@@ -149,6 +151,7 @@ class Recording:
     focal_sigma: float | None = None
     depth_offset_px: tuple[float, float] = (0.0, 0.0)
     readout_s: float | None = None
+    carrier: NDArray[np.bool_] | None = None
 
 
 # Poses farther away than this lose millimetres in single precision; they become relative.
@@ -197,6 +200,10 @@ class RecordedDataset:
         size = image_size or (recording.camera.size if any(offset_px) else None)
         self._grid = ImageGrid(recording.camera, size, offset_px) if size else None
         self.camera = self._grid.camera if self._grid else recording.camera
+        self._ignored: NDArray[np.bool_] | None = None
+        if recording.carrier is not None:
+            carrier = enlarge_mask(recording.carrier, recording.camera.size)
+            self._ignored = self._grid.nearest(carrier) if self._grid else carrier
         # A crop contains a part of the rows.
         rows = self.camera.height / self.camera.fy * recording.camera.fy / recording.camera.height
         self.readout_s = (recording.readout_s or 0.0) * rows
@@ -252,9 +259,10 @@ class RecordedDataset:
             rgb = self._grid.colour(rgb)
             depth_m = self._grid.depth(depth_m)
             labels = None if labels is None else self._grid.nearest(labels)
-        return Frame(
+        frame = Frame(
             index, files.timestamp_s, rgb, depth_m, self.camera, labels, readout_s=self.readout_s
         )
+        return frame if self._ignored is None else without_pixels(frame, self._ignored)
 
     def __iter__(self) -> Iterator[Frame]:
         """Iterate over all frames in order, prefetched by a background thread."""

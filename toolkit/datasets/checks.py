@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.carrier import without_carrier
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.findings import (
@@ -90,7 +91,7 @@ def check_recording(
     Raises:
         DatasetError: the recording has no frames.
     """
-    recording = with_usable_depth(recording)
+    recording = without_carrier(with_usable_depth(recording))
     dataset = RecordedDataset(recording, image_size)
     findings = _Findings()
     for index in watch(range(len(dataset))):

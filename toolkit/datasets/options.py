@@ -63,3 +63,7 @@ class DatasetOptions:
     order: check stops a run with given poses, trust uses them as they are, and correct converts
     them."""
     topics: BagTopics = BagTopics()
+    ignore_carrier: bool = True
+    """Ignore parts of the image that keep their depth and colour while the camera moves, because
+    they show what carries it: the body of a robot, a hand, the frame of a window. For input with
+    depth."""

@@ -25,6 +25,7 @@ from toolkit.datasets import (
     video,
 )
 from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.carrier import without_carrier
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.findings import camera_faults, pose_faults
@@ -69,6 +70,7 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can specify about a 
     topics: BagTopics | None = None,
     depth_offset: Literal["auto"] | tuple[float, float] | None = None,
     readout_ms: Literal["auto"] | float = "auto",
+    ignore_carrier: bool = True,
 ) -> RecordedDataset:
     """Open a dataset; frames are loaded on access.
 
@@ -88,6 +90,8 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can specify about a 
         readout_ms: time in milliseconds from the exposure of the first row of an image to that of
             the last; "auto" for that of the recording, which is estimated from its images if it is
             not specified. Not used without depth.
+        ignore_carrier: whether parts of the image that move with the camera, such as the body of
+            a robot, are found and ignored. Not used without depth.
 
     Raises:
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
@@ -102,9 +106,9 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can specify about a 
         image_size = _reduced(recording)
     if needs_depth:
         recording = with_usable_depth(recording, max_frames)
-    if depth_offset is not None and needs_depth:
         recording = _with_offset(recording, depth_offset, max_frames)
-    if not needs_depth:  # motion is estimated from features of the images as they are
+        recording = without_carrier(recording, max_frames) if ignore_carrier else recording
+    else:  # motion is estimated from features of the images as they are
         readout_ms = 0.0
     if readout_ms != "auto":
         recording = replace(recording, readout_s=1e-3 * readout_ms)
@@ -179,9 +183,13 @@ def _with_fov(recording: Recording, fov_deg: float, path: str | os.PathLike[str]
 
 
 def _with_offset(
-    recording: Recording, offset: Literal["auto"] | tuple[float, float], max_frames: int | None
+    recording: Recording,
+    offset: Literal["auto"] | tuple[float, float] | None,
+    max_frames: int | None,
 ) -> Recording:
-    """A recording whose depth is shifted to match its colour images."""
+    """A recording whose depth is shifted to match its colour images; None does not shift it."""
+    if offset is None:
+        return recording
     if offset != "auto":
         return replace(recording, depth_offset_px=offset)
     frames = RecordedDataset(recording, max_frames=max_frames)

@@ -26,6 +26,12 @@ def enlarge_depth(depth_m: NDArray[np.float32], size: tuple[int, int]) -> NDArra
     return np.asarray(cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT))
 
 
+def enlarge_mask(mask: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Enlarge a mask [H, W] to (width, height) by nearest neighbour."""
+    enlarged = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT)
+    return np.asarray(enlarged > 0)
+
+
 class ImageGrid:
     """Pixel grid to which the images of one camera are resampled.
 

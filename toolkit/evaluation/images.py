@@ -34,17 +34,19 @@ _MAX_RESIDUAL = 0.15
 _ROUNDS = 3
 
 
-def psnr_db(rendered: Image, truth: Image) -> float:
+def psnr_db(rendered: Image, truth: Image, ignored: NDArray[np.bool_] | None = None) -> float:
     """Compute the peak signal-to-noise ratio in dB over all pixels and channels, at most 100.
 
     Args:
         rendered, truth: [H, W, 3] in [0, 1], numpy or torch; values outside are clamped.
+        ignored: [H, W] pixels that are left out, not all; None for none.
 
     Raises:
         ValueError: shapes differ or are not [H, W, 3].
     """
     a, b = _as_pair(rendered, truth)
-    mean_square = float(np.mean((a - b) ** 2))
+    squares = (a - b) ** 2
+    mean_square = float(np.mean(squares if ignored is None else squares[~ignored]))
     if mean_square <= 10.0 ** (-MAX_PSNR_DB / 10.0):
         return MAX_PSNR_DB
     return -10.0 * math.log10(mean_square)

@@ -58,7 +58,7 @@ class ViewQuality:
     """Image and depth quality of one rendered view; None where a metric is not available.
 
     Attributes:
-        psnr_db: over all pixels, in dB.
+        psnr_db: over all pixels that are not ignored, in dB.
         psnr_measured_db, psnr_inferred_db: over the pixels with and without measured depth.
         psnr_one_gain_db: over all pixels, rendered at the gain and bias of the view only, without
             the white balance that the run estimated for it.
@@ -108,6 +108,7 @@ def view_quality(
     rendered: tuple[NDArray[np.float32], NDArray[np.float32]],
     measured: tuple[NDArray[np.float32], NDArray[np.float32]],
     lpips: Lpips | None = None,
+    ignored: NDArray[np.bool_] | None = None,
 ) -> ViewQuality:
     """Evaluate one view.
 
@@ -116,24 +117,31 @@ def view_quality(
             surface was rendered.
         measured: colour and depth of the frame, depth 0 where missing.
         lpips: network of LPIPS, or None without its weights.
+        ignored: [H, W] pixels that are not mapped: PSNR leaves them out, and they count as equal
+            in other similarities. None for none.
 
     Raises:
         ValueError: shapes differ.
     """
     rgb, depth_m = rendered
     true_rgb, measured_depth_m = measured
+    measured_pixels = measured_depth_m > 0
+    other_pixels = ~measured_pixels
+    if ignored is not None:
+        rgb = np.where(ignored[..., None], true_rgb, rgb)
+        other_pixels &= ~ignored
     depth = depth_l1(depth_m, measured_depth_m)
     similarity, multi_scale = ssim_and_ms_ssim(rgb, true_rgb)
     return ViewQuality(
-        psnr_db=psnr_db(rgb, true_rgb),
+        psnr_db=psnr_db(rgb, true_rgb, ignored),
         ssim=similarity,
         ms_ssim=multi_scale,
         lpips=None if lpips is None else lpips(rgb, true_rgb),
         depth_l1_m=depth.l1_m,
         depth_coverage=depth.coverage,
-        psnr_measured_db=masked_psnr_db(rgb, true_rgb, measured_depth_m > 0),
-        psnr_inferred_db=masked_psnr_db(rgb, true_rgb, ~(measured_depth_m > 0)),
-        psnr_per_channel_db=psnr_db(balanced(rgb, true_rgb), true_rgb),
+        psnr_measured_db=masked_psnr_db(rgb, true_rgb, measured_pixels),
+        psnr_inferred_db=masked_psnr_db(rgb, true_rgb, other_pixels),
+        psnr_per_channel_db=psnr_db(balanced(rgb, true_rgb), true_rgb, ignored),
     )
 
 

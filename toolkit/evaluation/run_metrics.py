@@ -328,9 +328,9 @@ def _quality(
     (colour, depth_m), (one_gain, _) = (
         as_exposed(image, depth_m, view.frame, view.velocity) for image in (colour, one_gain)
     )
+    ignored = view.frame.ignored
     quality = view_quality(
-        (colour, depth_m),
-        (view.frame.rgb, view.frame.depth_m),
-        options.lpips,
+        (colour, depth_m), (view.frame.rgb, view.frame.depth_m), options.lpips, ignored
     )
-    return replace(quality, psnr_one_gain_db=psnr_db(one_gain, view.frame.rgb))
+    one_gain_db = psnr_db(one_gain, view.frame.rgb, ignored)
+    return replace(quality, psnr_one_gain_db=one_gain_db)

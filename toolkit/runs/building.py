@@ -92,6 +92,9 @@ def build_slam(
     submaps = folder.submaps if folder else None
     atlas = build_atlas(settings.submaps, mapper.first_submap(), labeller, submaps)
     sources = _frame_sources(settings, labeller, instances)
+    # A dataset ignores what moves with the camera itself.
+    watches = dataset is None and settings.dataset.ignore_carrier
+    sources = replace(sources, watches_carrier=watches)
     slam = Slam(front_end, mapper, atlas, sources, recorder, instances)
     if settings.scene.graph:
         if taxonomy is None:

@@ -30,6 +30,9 @@ def identity_of(dataset: RecordedDataset, frames: int, given_poses: bool) -> Ide
     found = {
         "the camera": repr((recording.camera, recording.distortion, recording.fisheye)),
         "the depth scale": repr(recording.depth_scale),
+        "what moves with the camera in the images": repr(
+            None if recording.carrier is None else _digest(recording.carrier.tobytes())
+        ),
         "the names or times of the first frames": _digest(repr(entries).encode()),
     }
     truth = dataset.ground_truth

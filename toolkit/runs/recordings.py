@@ -39,6 +39,7 @@ def open_recording(
         topics=place.topics,
         depth_offset=place.depth_offset,
         readout_ms=place.readout_ms,
+        ignore_carrier=place.ignore_carrier,
     )
     if place.pose_convention == "correct" and needs_depth:
         _correct_poses(dataset)

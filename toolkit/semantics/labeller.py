@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
-from toolkit.frame import Frame
+from toolkit.frame import Frame, without_pixels
 from toolkit.semantics.segmenters.segmenter import Segmenter
 from toolkit.semantics.taxonomy import VOID, Taxonomy
 
@@ -80,23 +80,12 @@ class Labeller:
                 f"{self._source}: frame {frame.index} has class id {int(bad[0])}, which has no "
                 "name; add it to classes.json, or mark it as void"
             )
+        labelled = replace(frame, labels=labels)
+        if frame.ignored is not None:
+            labelled = without_pixels(labelled, frame.ignored)
         if not self.every_frame:
-            return replace(frame, labels=labels)
+            return labelled
         ignored = self._ignored[labels]
         if self.others is not None:
             ignored = self.others.pixels(frame, ignored)
-        return without_pixels(replace(frame, labels=labels), ignored)
-
-
-def without_pixels(frame: Frame, pixels: NDArray[np.bool_]) -> Frame:
-    """Return a frame that is ignored at some pixels [H, W], without depth and labels there."""
-    if not pixels.any():
-        return frame
-    labels = frame.labels
-    return replace(
-        frame,
-        labels=None if labels is None else np.where(pixels, VOID, labels).astype(np.int32),
-        depth_m=np.where(pixels, 0.0, frame.depth_m).astype(np.float32),
-        inferred=None if frame.inferred is None else frame.inferred & ~pixels,
-        ignored=pixels,
-    )
+        return without_pixels(labelled, ignored)

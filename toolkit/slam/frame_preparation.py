@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.depth_priors.correction import RenderedDepth
-from toolkit.frame import Frame, Recorder
+from toolkit.frame import Frame, Recorder, without_pixels
 from toolkit.mapping.mapper import Mapper
-from toolkit.semantics.labeller import IgnoredPixels, Labeller, without_pixels
+from toolkit.semantics.labeller import IgnoredPixels, Labeller
 from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.front_end import FrontEnd
 from toolkit.stages import Stage
@@ -32,11 +32,14 @@ class FrameSources:
         denoise: filter the depth of each frame according to its noise.
         ignored: finds what is neither tracked against nor mapped without labels; with labels, the
             labeller finds it.
+        watches_carrier: find what moves with the camera in the first frames; False if it is ignored
+            in the frames already.
     """
 
     labeller: Labeller | None = None
     denoise: bool = True
     ignored: IgnoredPixels | None = None
+    watches_carrier: bool = False
 
 
 class FramePreparation:

@@ -32,6 +32,7 @@ from toolkit.refinement.saved_labels import label_saved
 from toolkit.refinement.within import StepProgress, refine_submaps
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.camera_path import CameraPath
+from toolkit.slam.carrier_watch import CarrierWatch
 from toolkit.slam.collection import collected, parts_of, poses_beside
 from toolkit.slam.frame_locator import FrameLocator
 from toolkit.slam.frame_preparation import FramePreparation, FrameSources
@@ -90,8 +91,10 @@ class Slam:
         self._closer = front_end.closer
         self._placement, self._unit = front_end.placement, front_end.unit
         self._path = CameraPath()
+        sources = sources or FrameSources()
+        self._carrier = CarrierWatch() if sources.watches_carrier else None
         self._preparation = FramePreparation(
-            sources or FrameSources(), front_end, mapper, self.atlas, self._path, self._recorder
+            sources, front_end, mapper, self.atlas, self._path, self._recorder
         )
         options, measured = mapper.options, self._preparation.correction is None
         views = options.final_views if options.final_iterations else 0
@@ -194,6 +197,9 @@ class Slam:
         if unusable := frame.fault or self._path.disorder(frame):
             self._path.add_lost(frame, unusable, tried=False)
             return FrameResult(frame.index, None, not_tracked(unusable))
+        if self._carrier is not None:
+            submap = self.atlas.current if self.atlas.has_active_submap else None
+            frame = self._carrier.of(frame, submap)
         observed, frame = frame, self._preparation.before_tracking(frame)
         located = self._locator.locate(frame, may_map)
         T_map_camera, tracking = located.T_map_camera, located.tracking
@@ -411,5 +417,6 @@ class Slam:
         }
         correction, instances = self._preparation.correction, self._instances
         parts |= {} if correction is None else {"correction": correction}
+        parts |= {} if self._carrier is None else {"carrier": self._carrier}
         parts |= {} if instances is None else {"instances": instances}
         return parts if self._scene is None else parts | {"scene": self._scene}

@@ -66,9 +66,8 @@ def rectified(frame: Frame, velocity: Array | None) -> Frame:
         rgb=_smooth(frame.rgb, map_x, map_y),
         depth_m=motion.carried(depth_m, times_s, map_x, map_y),
         labels=None if frame.labels is None else _nearest(frame.labels, map_x, map_y),
-        inferred=None
-        if frame.inferred is None
-        else _nearest(frame.inferred.astype(np.uint8), map_x, map_y).astype(np.bool_),
+        inferred=_nearest_mask(frame.inferred, map_x, map_y),
+        ignored=_nearest_mask(frame.ignored, map_x, map_y),
     )
 
 
@@ -209,6 +208,12 @@ def _smooth(image: Image, map_x: Image, map_y: Image) -> Image:
         cv2.remap(image, map_x, map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     )
     return np.clip(found, 0.0, 1.0, out=found)  # cubic interpolation overshoots at edges
+
+
+def _nearest_mask(
+    mask: NDArray[np.bool_] | None, map_x: Image, map_y: Image
+) -> NDArray[np.bool_] | None:
+    return None if mask is None else _nearest(mask.astype(np.uint8), map_x, map_y).astype(np.bool_)
 
 
 def _nearest(image: NDArray, map_x: Image, map_y: Image) -> NDArray:
