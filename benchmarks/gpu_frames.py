@@ -149,7 +149,7 @@ def system(
     device, backend_name = place
     watch = Stopwatch(device, "tracking", "mapping")
     tracker = (
-        DenseTracker(DenseOptions(levels=levels, start="velocity"), backend_name=backend_name)
+        DenseTracker(DenseOptions(levels=levels), backend_name=backend_name)
         if first_order is None
         else FirstOrderTracker(first_order, backend_name=backend_name)
     )

@@ -43,7 +43,7 @@ def profile_table(plan: Plan) -> None:
     frames = walk(backend("cuda"), camera, 3, plan.device, len(TAXONOMY))
     semantics = SemanticMapping(SemanticLoss(one_hot_code(TAXONOMY), SemanticLossWeights()))
     mapper = Mapper(MapperOptions(), None, "cuda", None, semantics, plan.device)
-    tracker = DenseTracker(DenseOptions(start="velocity"), backend_name="cuda")
+    tracker = DenseTracker(DenseOptions(), backend_name="cuda")
     tracker.first_pose(frames[0])
     submap = mapper.first_submap()
     mapper.add_keyframe(submap, Keyframe.from_frame(frames[0], np.eye(4)))

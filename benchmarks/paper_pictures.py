@@ -78,8 +78,10 @@ def rendered(run: FinishedRun, index: int) -> Image:
 
 def quality_db(run: FinishedRun, index: int) -> float:
     """PSNR of the map of a run at a frame."""
-    views = rendered(run, index), observed(run, index)
-    return float(psnr_db(*(image.astype(np.float32) / 255.0 for image in views)))
+    shown, seen = (
+        image.astype(np.float32) / 255.0 for image in (rendered(run, index), observed(run, index))
+    )
+    return float(psnr_db(shown, seen))
 
 
 def beside(images: list[Image]) -> Image:

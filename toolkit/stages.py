@@ -39,7 +39,7 @@ class Stage(StrEnum):
     TRACKING_ALIGN = "tracking align"
     TRACKING_BACKWARD = "tracking backward"
     TRACKING_EVIDENCE = "tracking evidence"
-    TRACKING_ODOMETRY = "tracking odometry"
+    TRACKING_FEATURES = "tracking features"
     TRACKING_SEARCH = "tracking search"
     SEEDING = "seeding"
     EXPOSURE = "exposure"

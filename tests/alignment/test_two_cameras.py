@@ -23,11 +23,9 @@ from toolkit.alignment.data import (
     ResidualScales,
 )
 from toolkit.alignment.levels import finest_level, model_level, pyramid
-from toolkit.errors import ToolkitError
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.tracking.odometry import frame_to_model
 
 WIDE = Camera(60.0, 58.0, 40.5, 28.0, 80, 60)
 LONG = Camera(84.0, 88.0, 37.0, 31.5, 80, 60)
@@ -128,9 +126,3 @@ def test_model_images_must_have_the_size_of_their_camera(field):
     model = model_level(level_of(WIDE, np.eye(4)))
     with pytest.raises(ValueError, match=rf"{field} must have shape \[60, 80, 4\]"):
         replace(model, **{field: getattr(model, field)[1:]})
-
-
-def test_odometry_refuses_two_cameras():
-    models, frames = levels_of((WIDE, LONG))
-    with pytest.raises(ToolkitError, match="same camera for both images"):
-        frame_to_model(models[0], frames[0], np.eye(4))

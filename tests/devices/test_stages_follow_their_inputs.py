@@ -109,7 +109,7 @@ def one_view(walk):
 def tracked(kind: str, frames, gaussians: GaussianCloud):
     """T_map_camera of the second frame."""
     tracker = (
-        DenseTracker(DenseOptions(levels=2, start="velocity"))
+        DenseTracker(DenseOptions(levels=2))
         if kind == "dense"
         else FirstOrderTracker(FirstOrderOptions(iterations=3))
     )

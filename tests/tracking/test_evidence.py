@@ -44,7 +44,7 @@ def test_without_texture_depth_decides_and_nothing_is_clear():
 
 
 def test_a_true_pose_has_the_better_evidence(room: Room, gaussians: GaussianCloud):
-    tracker = DenseTracker(DenseOptions(start="velocity"))
+    tracker = DenseTracker(DenseOptions())
     tracker.first_pose(room.frames[0])
     true = room.T_map_camera[2]
     here, beside = (

@@ -23,10 +23,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.alignment.backend import linearise
-from toolkit.alignment.data import FrameLevel, LevelProblem, Linearisation
+from toolkit.alignment.data import FrameLevel, Linearisation
 from toolkit.alignment.joint import Eliminated, Estimate, JointOptions, Pair, linearised
-from toolkit.geometry import se3
 
 Array = NDArray[np.float64]
 
@@ -36,8 +34,6 @@ _PARAMETERS = 6
 # Information of a prior on the motions that either term would choose alone, relative to that of
 # both: a term may not determine every direction.
 _MIN_SHARE = 1e-6
-# Displacement in the weakest direction: 5 cm or 2 degrees.
-_UNITS = np.array([0.05, 0.05, 0.05, 0.035, 0.035, 0.035])
 
 
 def clustered_information(
@@ -145,24 +141,3 @@ def _blocks(level: FrameLevel) -> Iterator[FrameLevel]:
                 level.intensity[top:bottom, left:right].contiguous(),
                 level.depth_m[top:bottom, left:right].contiguous(),
             )
-
-
-def weakest_rise(problem: LevelProblem) -> float:
-    """Relative rise of the cost at 5 cm or 2 degrees in the direction that raises it least.
-
-    Args:
-        problem: at its aligned pose.
-
-    Returns:
-        The smaller rise of both signs of the direction; 0 if nothing determines the pose.
-    """
-    here = linearise(problem)
-    if not np.isfinite(here.cost) or not np.isfinite(here.H).all():
-        return 0.0
-    _, directions = np.linalg.eigh(here.H[:6, :6] * np.outer(_UNITS, _UNITS))
-    step = _UNITS * directions[:, 0]
-    costs = [
-        linearise(replace(problem, T_model_frame=se3.exp(sign * step) @ problem.T_model_frame)).cost
-        for sign in (-1.0, 1.0)
-    ]
-    return max(min(costs) / max(here.cost, 1e-9) - 1.0, 0.0)

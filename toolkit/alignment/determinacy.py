@@ -40,10 +40,9 @@ class Determinacy:
     directions: Array
     rises: Array
 
-    @property
-    def information(self) -> Array:
-        """Information [6, 6] of x in exp(x) T_model_frame."""
-        duals = np.linalg.inv(self.directions).T
+    def in_frame(self, T_model_frame: Array) -> Array:
+        """Information [6, 6] of x in T_model_frame exp(x)."""
+        duals = np.linalg.solve(self.directions.T, se3.adjoint(T_model_frame))
         return np.asarray((duals.T * (self.rises / _NOISE)) @ duals)
 
 
@@ -53,8 +52,7 @@ def determinacy(problem: LevelProblem) -> Determinacy:
     Args:
         problem: at its aligned pose.
     """
-    here = linearise(problem)
-    H = here.H[:6, :6]
+    here, H = linearise(problem), linearise(_without_noise(problem)).H[:6, :6]
     if not np.isfinite(here.cost) or not np.isfinite(H).all():
         return Determinacy(np.diag(UNITS), np.zeros(6))
     strengths, axes = np.linalg.eigh(H * np.outer(UNITS, UNITS))
@@ -65,6 +63,18 @@ def determinacy(problem: LevelProblem) -> Determinacy:
             rises[k + 1 :] = rises[k] * strengths[k + 1 :] / max(strengths[k], 1e-9)
             break
     return Determinacy(directions, rises)
+
+
+def _without_noise(problem: LevelProblem) -> LevelProblem:
+    """The problem with derivatives reduced by the noise.
+
+    That of the pixels along stripes seems to determine the motion along them, so that the
+    directions of the normal equations are not those that the cost knows least about.
+    """
+    texture = problem.model.texture.clone()
+    size = texture[..., 1:3].abs() - problem.scales.intensity
+    texture[..., 1:3] = texture[..., 1:3].sign() * size.clamp(min=0.0)
+    return replace(problem, model=replace(problem.model, texture=texture))
 
 
 def _rise(problem: LevelProblem, cost: float, direction: Array) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -70,7 +70,6 @@ class FeatureTracks:
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
         self._image: NDArray[np.uint8] | None = None
         self._next_id = 0
         self.features = NO_FEATURES
@@ -93,28 +92,25 @@ class FeatureTracks:
             return self.features
         before = self.features.px.astype(np.float32)
         after, good = before, np.zeros(len(before), bool)
-        tried = [(guess, _LEVELS) for guess in guesses or (self._flowed(last, image, before),)]
+        tried = [
+            (np.asarray(guess, np.float32), _LEVELS)
+            for guess in guesses or (_flowed(last, image, before),)
+        ]
         # A pattern that repeats within some pixels is another one at coarser levels.
         for guess, levels in [*tried, (before, 0)]:
-            other, found = _followed(last, image, before, guess.astype(np.float32), levels)
+            places, found = _followed(last, image, before, guess, levels)
             if found.sum() > good.sum():
-                after, good = other, found
+                after, good = places, found
             if good.mean() >= _MOSTLY_FOLLOWED:
                 break
         if good.mean() < _MIN_FOLLOWED:
-            guess = _guess_by_keypoints(last, image, before)
-            if guess is not None:
-                other, found = _followed(last, image, before, guess)
+            matched = _guess_by_keypoints(last, image, before)
+            if matched is not None:
+                places, found = _followed(last, image, before, matched)
                 if found.sum() > good.sum():
-                    after, good = other, found
+                    after, good = places, found
         self.features = Features(self.features.ids[good], after[good].astype(np.float64))
         return self.features
-
-    def _flowed(self, last: NDArray[np.uint8], image: NDArray[np.uint8], before: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Places [N, 2] of features by dense optical flow."""
-        flow = self._flow.calc(last, image, None)
-        column, row = np.round(before).astype(int).T
-        return before + flow[row, column]
 
     def continue_from(self, image: NDArray[np.uint8], features: Features) -> None:
         """Follow features from another image [H, W] into the next one."""
@@ -149,6 +145,27 @@ class FeatureTracks:
             np.concatenate([self.features.px, corners.reshape(-1, 2).astype(np.float64)]),
         )
         return self.features
+
+    def state(self) -> dict[str, NDArray]:
+        """Arrays from which `restore` continues identically."""
+        arrays: dict[str, NDArray] = {"ids": self.features.ids, "px": self.features.px}
+        arrays |= {} if self._image is None else {"image": self._image}
+        return arrays | {"next_id": np.array(self._next_id)}
+
+    def restore(self, state: Mapping[str, NDArray]) -> None:
+        """Restore an earlier `state`."""
+        self.features = Features(np.array(state["ids"]), np.array(state["px"]))
+        self._image = np.array(state["image"]) if "image" in state else None
+        self._next_id = int(state["next_id"])
+
+
+def _flowed(
+    last: NDArray[np.uint8], image: NDArray[np.uint8], before: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Places [N, 2] of features in the next image by dense optical flow."""
+    flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST).calc(last, image, None)
+    column, row = np.round(before).astype(int).T
+    return np.asarray(before + flow[row, column])
 
 
 def _followed(

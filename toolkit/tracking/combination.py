@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.determinacy import UNITS
 from toolkit.geometry import se3
-from toolkit.tracking.landmarks import FeaturePose
+from toolkit.tracking.feature_pose import FeaturePose
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def combined(T_map_camera: Array, information: Array, features: FeaturePose | No
     difference = se3.log(se3.inverse(T_map_camera) @ features.T_map_camera)
     covariance = np.linalg.inv(information + _WEAK) + np.linalg.inv(features.information + _WEAK)
     disagreement = float(difference @ np.linalg.solve(covariance, difference)) / len(difference)
-    own = features.information / max(1.0, disagreement) ** 2
-    step = np.linalg.solve(information + own + _WEAK, own @ difference)
-    T_map_camera = se3.orthonormalise(T_map_camera @ se3.exp(step))
-    return Combination(T_map_camera, information + own, disagreement, features.motions)
+    own: Array = features.information / max(1.0, disagreement) ** 2
+    step = np.asarray(np.linalg.solve(information + own + _WEAK, own @ difference), np.float64)
+    T = se3.orthonormalise(T_map_camera @ se3.exp(step))
+    return Combination(T, information + own, disagreement, features.motions)

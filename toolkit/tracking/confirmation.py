@@ -12,14 +12,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.alignment.covariance import weakest_rise
 from toolkit.alignment.data import LevelProblem
+from toolkit.alignment.determinacy import determinacy
 from toolkit.alignment.joint import MAX_DISTANCE, Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import finest_level, model_level, pyramid
 from toolkit.alignment.similarity import aligned_correlation
 from toolkit.exposure import Exposure
 from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
+from toolkit.tracking.combination import Combination
 from toolkit.tracking.evidence import doubt_reason
 from toolkit.tracking.proposals import FeatureProposals
 
@@ -46,10 +47,11 @@ def shows_same_place(first: Frame, second: Frame) -> bool:
         found = align([Pair(models, frame, np.eye(4), np.eye(4))], Estimate(start), options)
         T, exposure = found.T_target_source, Exposure(*(float(v) for v in found.exposures[0]))
         similarity = aligned_correlation(models[_LEVEL], frame[_LEVEL], T)
-        rise = weakest_rise(
+        determined = determinacy(
             LevelProblem(models[_LEVEL], frame[_LEVEL], T, found.scales, exposure, gate)
         )
-        if not doubt_reason(similarity, rise):
+        pose = Combination(T, determined.in_frame(T))
+        if not (doubt_reason(similarity) or pose.ambiguity):
             return True
     return False
 

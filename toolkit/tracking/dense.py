@@ -8,7 +8,6 @@ pose found by Open3D's odometry.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
@@ -28,28 +27,24 @@ from toolkit.alignment.data import (
 )
 from toolkit.alignment.exposure import estimate_exposure
 from toolkit.alignment.health import HealthLimits
-from toolkit.errors import DependencyError
 from toolkit.exposure import IDENTITY, Exposure
 from toolkit.frame import Frame, NullRecorder, Recorder
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
+from toolkit.io.arrays import arrays_below
 from toolkit.stages import Stage
-from toolkit.tracking.combination import combined
-from toolkit.tracking.evidence import is_clear, is_convincing, quality, unexpected_reason
+from toolkit.tracking.evidence import is_clear, quality, unexpected_reason
+from toolkit.tracking.feature_pose import FeaturePose
 from toolkit.tracking.health import has_depth, relaxed_scales
 from toolkit.tracking.judgement import judged
-from toolkit.tracking.landmarks import FeaturePose, Landmarks
+from toolkit.tracking.landmarks import Landmarks
 from toolkit.tracking.moving import MovingTracker
-from toolkit.tracking.odometry import frame_to_model
 from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.prepared import PreparedFrames
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.rotation_search import rotated_starts, wide_camera
 from toolkit.tracking.views import MapRenderer, RenderedView, Task
-
-_log = logging.getLogger(__name__)
-
 
 # Maximum number of renderings of the map per frame, and pose change (`Task.size`) that triggers a
 # new one. At 0.05, recordings take up to a fifth less time online and are as accurate, but images
@@ -60,9 +55,6 @@ _RENDERS, _RERENDER_DISTANCE = 3, 0.02
 _MAX_DISTANCE = 0.05
 # Maximum number of iterations per pyramid level.
 _ITERATIONS = 12
-
-# Pyramid level for odometry; an initial pose need not be precise.
-_ODOMETRY_LEVEL = 1
 
 # Distance from the predicted pose (`Task.distance`) up to which alignment hardly ever converges to
 # a wrong pose, and distance up to which two results are the same.
@@ -106,21 +98,23 @@ class DenseTracker(MovingTracker):
         """Arrays from which `restore` continues identically."""
         scales = [self._scales.intensity, self._scales.depth_m]
         exposure = [self._exposure.gain, self._exposure.bias]
-        own = {"scales": scales, "exposure": exposure}
-        return super().state() | {name: np.array(values) for name, values in own.items()}
+        own = {"scales": np.array(scales), "exposure": np.array(exposure)}
+        features = {f"features/{name}": a for name, a in self._landmarks.state().items()}
+        return super().state() | own | features
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Restore an earlier `state`."""
         super().restore(state)
         self._scales = ResidualScales(*(float(s) for s in state["scales"]))
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
+        self._landmarks.restore(arrays_below(state, "features/"))
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
         """The identity, because the map's frame is that of the first camera; None if unusable."""
         T_map_camera = super().first_pose(frame)
         if T_map_camera is not None:
-            self._landmarks = Landmarks()
-            self._landmarks.extend(self._prepared.of(frame, torch.device("cpu")).levels[0])
+            level = self._prepared.of(frame, torch.device("cpu")).levels[0]
+            self._landmarks = Landmarks(level, T_map_camera)
         return T_map_camera
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
@@ -131,10 +125,7 @@ class DenseTracker(MovingTracker):
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
         """Continue from a pose [4, 4], without a velocity."""
         super().continue_from(timestamp_s, T_map_camera)
-        self._landmarks = Landmarks()
-        if self._newest is not None:
-            self._landmarks.extend(self._newest)
-            self._landmarks.settle(T_map_camera)
+        self._landmarks = Landmarks(self._newest, T_map_camera)
 
     def track(
         self, frame: Frame, gaussians: GaussianCloud, proposals: Proposals | None = None
@@ -144,23 +135,23 @@ class DenseTracker(MovingTracker):
         last = self.motion.last()
         if last is not None:
             starts.append(last)
-        level = self._prepared.of(frame, gaussians.means.device).levels[0]
-        self._newest = level
-        if last is not None:
-            self._landmarks.settle(last)
-        features = self._landmarks.locate(level, starts)
+        self._newest = self._prepared.of(frame, gaussians.means.device).levels[0]
+        with self._recorder.timed(Stage.TRACKING_FEATURES):
+            features = self._landmarks.locate(self._newest, starts)
         result = self.locate(frame, gaussians, *starts, proposals=proposals, features=features)
         if result.health is Health.GOOD:
             self.motion.update(frame.timestamp_s, result.T_map_camera)
             self._scales = ResidualScales(result.intensity_residual, result.depth_residual_m)
             self._exposure = result.exposure
-            self._landmarks.extend(level)
         else:
             self.motion.forget_velocity()
-            if result.lost:
-                self._landmarks.undo()
             if has_depth(frame):
                 self._scales = relaxed_scales(self._scales)
+        if result.lost:
+            self._landmarks.undo()
+        else:
+            with self._recorder.timed(Stage.TRACKING_FEATURES):
+                self._landmarks.extend(self._newest, result.T_map_camera)
         return result
 
     def locate(
@@ -179,31 +170,29 @@ class DenseTracker(MovingTracker):
                 Alignment starts at the one with the lowest cost on the coarsest level.
             proposals: further initial poses, which are asked for if the result is not clear.
             search: look for other initial poses at all.
-
-        Raises:
-            DependencyError: `start` is "both" and Open3D cannot be loaded.
+            features: the pose of the frame's features, at which alignment starts instead, and with
+                which its result is combined.
         """
         task = Task(self._prepared.of(frame, gaussians.means.device), gaussians, features)
-        if features is not None:
-            starts = (features.T_map_camera, *starts)
-        view = self._render(task, starts[0])
-        if features is not None:
-            start = starts[0]
-            results = [self._align(task, view, start, _FINE_LEVELS)]
+        if features is None:
+            view = self._render(task, starts[0])
+            start, levels = self._best_start(task, view, starts), None
         else:
-            start = self._best_start(task, view, starts)
-            results = [self._align(task, view, start)]
-        if features is None and search and has_depth(frame) and not is_convincing(results[0].similarity):
-            results.extend(self._finely_aligned(task, view, start, results[0]))
+            # Features are accurate to a pixel or two, and at coarse levels thin joints are lost.
+            start, levels = features.T_map_camera, _FINE_LEVELS
+            view = self._render(task, start)
+        expected = starts[0] if features is None else start
+        results = [self._align(task, view, start, levels)]
         likely = max(results, key=_rank)
-        unclear = has_depth(frame) and not self._is_expected(task, likely, starts[0])
-        always, sometimes = self.options.start == "both", self.options.start == "auto"
-        if search and (always or (sometimes and unclear)):
-            for T_map_camera, levels in self._further_starts(task, view, start, results, proposals):
+        unclear = has_depth(frame) and not self._is_expected(task, likely, expected)
+        # No other start makes an ambiguous view unambiguous.
+        if search and unclear and not likely.ambiguous:
+            further = self._further_starts(task, start, results, proposals)
+            for T_map_camera, levels in further:
                 nearby = self._render(task, T_map_camera)
                 results.append(self._align(task, nearby, T_map_camera, levels))
         best = max(results, key=_rank)
-        if has_depth(frame) and not self._is_expected(task, best, starts[0]):
+        if has_depth(frame) and not self._is_expected(task, best, expected):
             best = _doubted(best, unexpected_reason(best.similarity))
         return replace(
             best,
@@ -211,37 +200,22 @@ class DenseTracker(MovingTracker):
             iterations=sum(result.iterations for result in results),
         )
 
-    def _finely_aligned(
-        self, task: Task, view: RenderedView, start: NDArray[np.float64], result: TrackingResult
-    ) -> Iterator[TrackingResult]:
-        """The result at the fine levels alone, if it differs from that at all levels.
-
-        Along a corridor, coarse levels slide by decimetres: fine texture is lost in them.
-        """
-        initial = Alignment(se3.inverse(view.T_map_view) @ start, self._scales, self._exposure)
-        models, frames = view.levels[:_FINE_LEVELS], task.levels[:_FINE_LEVELS]
-        with self._recorder.timed(Stage.TRACKING_ALIGN):
-            aligned = align(models, frames, initial, self._alignment_options)
-        T_map_camera = view.T_map_view @ aligned.T_view_camera
-        if task.distance(T_map_camera, result.T_map_camera) >= _SAME:
-            yield self._align(task, view, start, _FINE_LEVELS)
-
     def _is_expected(
-        self, task: Task, result: TrackingResult, T_predicted: NDArray[np.float64]
+        self, task: Task, result: TrackingResult, T_expected: NDArray[np.float64]
     ) -> bool:
         """Whether a result needs no search: its evidence is clear, or it is where it should be.
 
-        A pose that agrees with the prediction has evidence of its own, unless it is doubtful.
+        A pose that agrees with the features or, without them, with the prediction has evidence of
+        its own, unless it is doubtful.
         """
         if _is_clear(result):
             return True
-        distance = task.distance(T_predicted, result.T_map_camera)
+        distance = task.distance(T_expected, result.T_map_camera)
         return result.health is Health.GOOD and distance < _EXPECTED
 
     def _further_starts(
         self,
         task: Task,
-        view: RenderedView,
         start: NDArray[np.float64],
         results: list[TrackingResult],
         proposals: Proposals | None,
@@ -251,17 +225,14 @@ class DenseTracker(MovingTracker):
         It is if its evidence is clear, or if another initial pose has led to the likely pose again.
 
         Args:
-            view, start: the first view of the map, and the initial pose chosen there.
+            start: the first initial pose.
             results: those so far; the caller extends them.
         """
         likely = max(results, key=_rank)
         proposed = () if proposals is None else proposals(task.frame)
-        if self.options.start == "both":
-            yield from self._odometry(task, view, start)
         searches = chain(
             ((T_map_camera, _FINE_LEVELS) for T_map_camera in proposed),
             self._rotated_starts(task, start),
-            self._odometry(task, view, start),
         )
         for search in searches:
             yield search
@@ -289,23 +260,6 @@ class DenseTracker(MovingTracker):
             for T in starts
         ]
         return starts[int(np.argmin(costs))]
-
-    def _odometry(
-        self, task: Task, view: RenderedView, start: NDArray[np.float64]
-    ) -> Iterator[tuple[NDArray[np.float64], int]]:
-        """T_map_camera [4, 4] from odometry against a view, and the levels to align, if any."""
-        level = min(_ODOMETRY_LEVEL, self.options.levels - 1)
-        T_view_start = se3.inverse(view.T_map_view) @ start
-        try:
-            with self._recorder.timed(Stage.TRACKING_ODOMETRY):
-                T_view_camera = frame_to_model(view.levels[level], task.levels[level], T_view_start)
-        except DependencyError as error:
-            if self.options.start == "both":
-                raise
-            _log.info("Odometry of frame %d is not available: %s", task.frame.index, error)
-            return
-        if T_view_camera is not None:
-            yield view.T_map_view @ T_view_camera, self.options.levels
 
     def _rotated_starts(
         self, task: Task, start: NDArray[np.float64]
@@ -369,16 +323,8 @@ class DenseTracker(MovingTracker):
         self, task: Task, view: RenderedView, alignment: Alignment, renders: int
     ) -> TrackingResult:
         judgement = judged(self.limits, task, view, alignment, _MAX_DISTANCE, self._recorder)
-        # Alignment that fails immediately returns a product of this tracker's own poses. Without
-        # orthonormalisation, rounding errors would accumulate over a few hundred such frames.
-        T = se3.orthonormalise(view.T_map_view @ alignment.T_view_camera)
-        found = combined(T, judgement.determined, task.features)
-        ambiguity = found.ambiguity if has_depth(task.frame) else ""
-        health, reason = judgement.health, judgement.reason
-        if health is Health.GOOD and ambiguity:
-            health, reason = Health.DOUBTFUL, ambiguity
         return TrackingResult(
-            T_map_camera=found.T_map_camera,
+            T_map_camera=judgement.pose.T_map_camera,
             converged=alignment.converged,
             iterations=alignment.iterations,
             renders=renders,
@@ -386,12 +332,12 @@ class DenseTracker(MovingTracker):
             depth_residual_m=alignment.scales.depth_m,
             visible_fraction=judgement.visible,
             information=judgement.information,
-            health=health,
-            reason=reason,
-            ambiguous=bool(ambiguity),
+            health=judgement.health,
+            reason=judgement.reason,
+            ambiguous=judgement.ambiguous,
             exposure=self._estimated_exposure(task, view, alignment),
             similarity=judgement.similarity,
-            determined=found.information,
+            determined=judgement.pose.information,
         )
 
 

@@ -18,12 +18,6 @@ from toolkit.tracking.result import TrackingResult
 
 # Fewer textured blocks give no reliable correlation; it then has a neutral value.
 _MIN_BLOCKS, _NEUTRAL = 4, 0.5
-# With fewer textured blocks, it is examined whether the pose is determined at all.
-_FEW_BLOCKS = 12
-# Minimum relative rise of the cost at 5 cm or 2 degrees from the pose, for frames with little
-# texture. On a blank wall with 1 % of noise it is below 0.015, in recordings of weak texture above
-# 0.05.
-_MIN_RISE = 0.03
 # Below these, a pose is doubtful: median correlation of the textures of frame and map, fraction of
 # the frame's depth that the map covers, and fraction of that which agrees with the map.
 _MIN_CORRELATION, _MIN_COVERED, _MIN_AGREEMENT = 0.6, 0.15, 0.75
@@ -35,8 +29,6 @@ _CLEAR_AGREEMENT, _CLEAR_COVERED = 0.85, 0.4
 _UNEXPECTED_AGREEMENT = 0.9
 # A frame of which the map covers less becomes a keyframe.
 _SOON_UNCOVERED = 0.5
-# Most frames of a slow camera have this evidence.
-_CONVINCING_CORRELATION, _CONVINCING_LOW_CORRELATION = 0.92, 0.85
 
 
 def quality(similarity: Similarity | None) -> float:
@@ -62,31 +54,10 @@ def is_clear(similarity: Similarity | None) -> bool:
     )
 
 
-def is_convincing(similarity: Similarity | None) -> bool:
-    """Whether not even a second alignment from the same initial pose is worth while."""
-    return (
-        similarity is not None
-        and is_clear(similarity)
-        and similarity.correlation >= _CONVINCING_CORRELATION
-        and similarity.low_correlation >= _CONVINCING_LOW_CORRELATION
-    )
-
-
-def lacks_texture(similarity: Similarity) -> bool:
-    """Whether so little texture is left that the frame may not determine its pose."""
-    return similarity.blocks < _FEW_BLOCKS
-
-
-def doubt_reason(similarity: Similarity | None, rise: float | None = None) -> str:
-    """Why a pose may be wrong; empty if the evidence suffices.
-
-    Args:
-        rise: of the cost beside the pose (`weakest_rise`), if the frame lacks texture.
-    """
+def doubt_reason(similarity: Similarity | None) -> str:
+    """Why a pose may be wrong; empty if the evidence suffices."""
     if similarity is None:
         return ""
-    if rise is not None and lacks_texture(similarity) and rise < _MIN_RISE:
-        return "the view does not determine the pose: it has hardly any texture or structure"
     if similarity.covered < _MIN_COVERED:
         return f"the map covers only {100 * similarity.covered:.0f} % of the frame"
     if similarity.blocks >= _MIN_BLOCKS and similarity.correlation < _MIN_CORRELATION:
@@ -109,5 +80,5 @@ def shows_much_unmapped(result: TrackingResult | None) -> bool:
 
     A camera that moves backwards sees all of the last keyframe, and much else.
     """
-    similarity = None if result is None else result.similarity
+    similarity = None if result is None or result.lost else result.similarity
     return similarity is not None and similarity.covered < _SOON_UNCOVERED

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import Alignment, LevelProblem
-from toolkit.alignment.determinacy import Determinacy, determinacy
+from toolkit.alignment.determinacy import determinacy
 from toolkit.alignment.health import HealthLimits, failure_reason
 from toolkit.alignment.similarity import Similarity, aligned_correlation
 from toolkit.frame import Recorder
 from toolkit.geometry import se3
 from toolkit.stages import Stage
-from toolkit.tracking.evidence import doubt_reason, lacks_texture
+from toolkit.tracking.combination import Combination, combined
+from toolkit.tracking.evidence import doubt_reason
 from toolkit.tracking.result import Health
 from toolkit.tracking.views import RenderedView, Task
 
@@ -28,19 +29,20 @@ class Judgement:
     """What is known about the result of an alignment.
 
     Attributes:
+        pose: with what the features tell.
         reason: why the frame is doubtful or lost; empty if it is neither.
+        ambiguous: whether other motions explain the frame as well.
         visible: fraction of the measured pixels that were aligned.
         information: [6, 6] of the pose at the finest level; 0 if nothing was aligned.
-        determinacy: of the alignment.
     """
 
+    pose: Combination
     health: Health
     reason: str
+    ambiguous: bool
     similarity: Similarity
     visible: float
     information: NDArray[np.float64]
-    determinacy: Determinacy | None = None
-    determined: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 def judged(
@@ -65,19 +67,20 @@ def judged(
     health = Health.LOST if reason else Health.GOOD
     level = _level(task)
     model, frame, T_view_camera = view.levels[level], task.levels[level], alignment.T_view_camera
-    found = None
+    # Alignment that fails immediately returns a product of the tracker's own poses. Without
+    # orthonormalisation, rounding errors would accumulate over a few hundred such frames.
+    pose = Combination(se3.orthonormalise(view.T_map_view @ T_view_camera), np.zeros((6, 6)))
+    ambiguity = ""
     with recorder.timed(Stage.TRACKING_EVIDENCE):
         similarity = aligned_correlation(model, frame, T_view_camera)
         if not reason:
-            scales, exposure = alignment.scales, alignment.exposure
-            gate = max_distance * 2**level
+            scales, exposure, gate = alignment.scales, alignment.exposure, max_distance * 2**level
             found = determinacy(LevelProblem(model, frame, T_view_camera, scales, exposure, gate))
-            rise = float(found.rises.min()) if lacks_texture(similarity) else None
-            reason = doubt_reason(similarity, rise)
+            pose = combined(pose.T_map_camera, found.in_frame(T_view_camera), task.features)
+            ambiguity = pose.ambiguity
+            reason = doubt_reason(similarity) or ambiguity
             health = Health.DOUBTFUL if reason else health
-    adjoint = se3.adjoint(T_view_camera)
-    determined = np.zeros((6, 6)) if found is None else adjoint.T @ found.information @ adjoint
-    return Judgement(health, reason, similarity, visible, information, found, determined)
+    return Judgement(pose, health, reason, bool(ambiguity), similarity, visible, information)
 
 
 def _level(task: Task) -> int:

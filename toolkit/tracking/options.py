@@ -18,10 +18,6 @@ class DenseOptions:
     max_width: Annotated[int, Range(ge=16)] = 480
     """Maximum image width for tracking, in pixels. Wider images are halved, as long as 320x240
     pixels or as many remain."""
-    start: Literal["velocity", "auto", "both"] = "auto"
-    """Initial pose of a frame. velocity: constant velocity, or the previous pose; auto: also
-    Open3D's odometry if the frame then fits badly; both: also Open3D's odometry for every frame.
-    The better fit is kept."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.stages import Stage
-from toolkit.tracking.landmarks import FeaturePose
+from toolkit.tracking.feature_pose import FeaturePose
 from toolkit.tracking.prepared import PreparedFrame
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ import pytest
 from moving_camera import error_m, film, turn, walk
 
 from toolkit.alignment.levels import intensity_of
+from toolkit.features.tracks import FeatureTracks
 from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.visual_odometry.odometry import OdometryResult, State, VisualOdometry
-from toolkit.features.tracks import FeatureTracks
 
 
 def grey(frame: Frame) -> np.ndarray:

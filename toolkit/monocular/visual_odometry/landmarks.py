@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.features.tracks import Features
 from toolkit.geometry.camera import Camera
 from toolkit.monocular.bundle_adjustment.problem import BundleProblem, Landmarks, Observations
-from toolkit.features.tracks import Features
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from toolkit.features.tracks import Features, FeatureTracks
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.monocular.bundle_adjustment.problem import BundleOptions
@@ -18,7 +19,6 @@ from toolkit.monocular.visual_odometry.initialisation import MEDIAN_DEPTH, Refus
 from toolkit.monocular.visual_odometry.landmarks import OdometryView, bundle, held
 from toolkit.monocular.visual_odometry.reversal import without_reversal
 from toolkit.monocular.visual_odometry.sparse_map import MAX_ERROR_PX, SparseMap
-from toolkit.features.tracks import Features, FeatureTracks
 from toolkit.monocular.visual_odometry.two_view import parallax_rad, triangulate
 
 Array = NDArray[np.float64]

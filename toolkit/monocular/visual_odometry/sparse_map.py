@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.features.tracks import Features
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.monocular.bundle_adjustment.problem import BundleOptions, BundleResult
 from toolkit.monocular.bundle_adjustment.solver import adjust
 from toolkit.monocular.visual_odometry.landmarks import LandmarkTable, OdometryView, bundle
-from toolkit.features.tracks import Features
 from toolkit.monocular.visual_odometry.two_view import rays
 
 Array = NDArray[np.float64]

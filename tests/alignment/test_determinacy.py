@@ -1,0 +1,64 @@
+"""Whether views determine their relative pose, direction by direction."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolkit.alignment.data import FrameLevel, LevelProblem, ResidualScales
+from toolkit.alignment.determinacy import Determinacy, determinacy
+from toolkit.alignment.levels import model_level
+from toolkit.exposure import IDENTITY
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+
+CAMERA = Camera(80.0, 80.0, 47.5, 35.5, 96, 72)
+SCALES = ResidualScales(0.01, 0.01)
+
+
+def wall(seed: int, pattern: NDArray[np.float64] | float = 0.0) -> FrameLevel:
+    """A wall at 1 m with a pattern, and 1 % of noise in colour and depth."""
+    rng = np.random.default_rng(seed)
+    noise = 0.01 * rng.standard_normal((2, CAMERA.height, CAMERA.width))
+    intensity = torch.from_numpy((0.5 + pattern + noise[0]).astype(np.float32))
+    return FrameLevel(CAMERA, intensity, torch.from_numpy((1.0 + noise[1]).astype(np.float32)))
+
+
+def measured(pattern: NDArray[np.float64] | float) -> Determinacy:
+    model, frame = model_level(wall(0, pattern)), wall(1, pattern)
+    return determinacy(LevelProblem(model, frame, np.eye(4), SCALES, IDENTITY, 0.1))
+
+
+def columns_and_rows() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    y, x = np.mgrid[: CAMERA.height, : CAMERA.width]
+    return x, y
+
+
+def test_noise_determines_nothing_along_a_blank_wall_and_texture_does():
+    x, y = columns_and_rows()
+    texture = 0.1 * (np.sin(0.31 * x + 0.11 * y) + np.sin(0.23 * y - 0.07 * x))
+    assert measured(0.0).rises[0] < 0.01
+    assert measured(texture).rises.min() > 0.03
+
+
+def test_stripes_determine_the_motion_across_them_only():
+    x, _ = columns_and_rows()
+    found = measured(0.2 * np.sin(0.3 * x))
+    across, along, _ = np.diag(np.linalg.inv(found.in_frame(np.eye(4)) + np.eye(6)))[:3]
+    assert along > 25.0 * across
+
+
+def test_the_information_is_that_of_the_frames_own_axes():
+    x, _ = columns_and_rows()
+    found = measured(0.2 * np.sin(0.3 * x))
+    T = se3.exp(np.array([0.1, -0.2, 0.3, 0.2, 0.1, np.pi / 2]))
+    adjoint = se3.adjoint(T)
+    expected = adjoint.T @ found.in_frame(np.eye(4)) @ adjoint
+    np.testing.assert_allclose(found.in_frame(T), expected, rtol=1e-6, atol=1e-6 * expected.max())
+
+
+def test_nothing_in_common_determines_nothing():
+    empty = FrameLevel(CAMERA, torch.zeros(72, 96), torch.zeros(72, 96))
+    problem = LevelProblem(model_level(wall(0)), empty, np.eye(4), SCALES, IDENTITY, 0.1)
+    assert not determinacy(problem).rises.any()

@@ -1,0 +1,66 @@
+"""Alignment and features together: each counts by what it determines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toolkit.alignment.determinacy import UNITS
+from toolkit.geometry import se3
+from toolkit.tracking.combination import combined
+from toolkit.tracking.feature_pose import FeaturePose
+
+SIDEWAYS = np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def information(*sigmas: float) -> np.ndarray:
+    """Of these standard deviations, in units of 5 cm or 2 degrees."""
+    return np.diag((np.array(sigmas) * UNITS) ** -2.0)
+
+
+def features(T: np.ndarray, *sigmas: float, motions=None) -> FeaturePose:
+    return FeaturePose(T, information(*sigmas), np.ones(50, bool), motions)
+
+
+CERTAIN = (0.02,) * 6
+BLIND_SIDEWAYS = (10.0, *CERTAIN[1:])
+
+
+def test_features_decide_where_alignment_knows_nothing():
+    found = combined(
+        np.eye(4), information(*BLIND_SIDEWAYS), features(se3.exp(SIDEWAYS), *(0.1,) * 6)
+    )
+    np.testing.assert_allclose(found.T_map_camera[:3, 3], SIDEWAYS[:3], atol=1e-3)
+    assert found.disagreement < 1.0 and not found.ambiguity
+
+
+def test_alignment_decides_where_it_is_the_more_accurate():
+    found = combined(np.eye(4), information(*CERTAIN), features(se3.exp(SIDEWAYS), *(0.4,) * 6))
+    assert np.linalg.norm(found.T_map_camera[:3, 3]) < 0.001
+
+
+def test_features_that_contradict_count_less():
+    certain = information(*CERTAIN)
+    mild, strong = (
+        combined(np.eye(4), certain, features(se3.exp(scale * SIDEWAYS), *CERTAIN))
+        for scale in (0.05, 1.0)
+    )
+    assert mild.disagreement < 1.0 < strong.disagreement
+    assert mild.T_map_camera[0, 3] == pytest.approx(0.5 * 0.001, rel=0.01)
+    assert strong.T_map_camera[0, 3] < 0.0005
+
+
+@pytest.mark.parametrize(
+    ("direction", "name"),
+    [(0, "to the side"), (1, "up and down"), (2, "forwards"), (3, "pitch"), (4, "yaw")],
+)
+def test_a_direction_that_nothing_determines_is_named(direction: int, name: str):
+    sigmas = list(CERTAIN)
+    sigmas[direction] = 3.0
+    assert name in combined(np.eye(4), information(*sigmas), None).ambiguity
+
+
+def test_two_motions_are_named_whatever_is_determined():
+    seen = features(np.eye(4), *CERTAIN, motions=(0.55, 0.4))
+    found = combined(np.eye(4), information(*CERTAIN), seen)
+    assert "55 % of the features" in found.ambiguity and "40 %" in found.ambiguity

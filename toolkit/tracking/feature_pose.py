@@ -1,0 +1,234 @@
+"""The pose of a frame from features whose points in the map are known.
+
+An edge fixes a feature across its direction only. Each feature is therefore weighted by the
+structure tensor of its patch (Foerstner and Guelch, 1987).
+
+If a large object moves, two motions explain the features. Which one is the camera's cannot be seen
+in them, so that both are reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from toolkit.alignment.determinacy import UNITS
+from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.native.constants import NEAR_M, STUDENT_T_DOF
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Standard deviation of the place of a sharp corner in pixels before it is measured, and the bounds
+# of the measured one.
+SIGMA_PX, _MIN_SIGMA_PX, _MAX_SIGMA_PX = 0.4, 0.25, 1.0
+# Standard deviations by which a pose is found: predictions may be wrong by some pixels.
+_SIGMAS_PX = (10.0 * SIGMA_PX, 3.0 * SIGMA_PX, SIGMA_PX)
+_ITERATIONS = 4
+_MAX_STEP, _SMALL_STEP = 0.3, 1e-5
+# Directions that features hardly determine stay where they are.
+_DAMPING = np.diag(1.0 / UNITS**2)
+# A feature that misses its place by more follows something else.
+_OUTLIER_PX = 2.0
+# Fewer features that fit, or a smaller fraction of them, determine no pose.
+MIN_FITTING, _MIN_FRACTION = 8, 0.5
+# Another motion is looked for if the upper quartile of the errors exceeds this number of pixels and
+# neighbouring features have similar errors. It counts if each motion explains this share of the
+# features to half a pixel, and both reduce that quartile to this fraction: that of noise falls to
+# 0.8.
+_NOTICED_PX, _COHERENT, _SECOND, _MUCH_BETTER = 0.3, 0.45, 0.25, 0.5
+_EXPLAINED_PX = 0.5
+_ROUNDS, _MIN_GROUP, _QUANTILE = 3, 30, 0.75
+# Motion of features that keep their place, and parallax of those that should not.
+_STILL_PX, _PARALLAX_PX = 0.15, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class FeaturePose:
+    """The pose of a frame that its features determine.
+
+    Attributes:
+        T_map_camera: [4, 4].
+        information: [6, 6] of x in T_map_camera exp(x), from the measured errors.
+        fits: [N] which features fit.
+        motions: shares of the features that move in one way and in another one, if each are a
+            quarter or more; None otherwise.
+    """
+
+    T_map_camera: Array
+    information: Array = field(repr=False)
+    fits: Mask = field(repr=False)
+    motions: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """A pose [4, 4], the errors [N] of features at it in pixels, and the normal equations' H."""
+
+    T_map_camera: Array
+    errors: Array
+    H: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Features of a frame with known points.
+
+    Attributes:
+        camera: of the frame.
+        points: [N, 3] in the map.
+        px: [N, 2] where they are in the frame. flow: [N, 2] their motion since the last frame.
+        weights: [N, 2, 2] relative information about their places, 1 for sharp corners.
+    """
+
+    camera: Camera
+    points: Array
+    px: Array
+    flow: Array
+    weights: Array
+
+    def pose(self, starts: Sequence[Array]) -> FeaturePose | None:
+        """The pose of the frame; None if too few features fit one.
+
+        Args:
+            starts: T_map_camera [4, 4] where the camera may be, from the likeliest to that of the
+                last frame.
+        """
+        if len(self.px) < MIN_FITTING:
+            return None
+        one = self._motion(starts[0], _SIGMAS_PX)
+        found, motions = self._standing_or_moving(one, starts[-1])
+        motions = motions or self._two_motions(one)
+        fits = found.errors < _OUTLIER_PX
+        count = int(fits.sum())
+        if count < max(MIN_FITTING, _MIN_FRACTION * len(fits)):
+            return None
+        spread = float(np.sqrt(np.mean(found.errors[fits] ** 2) / 2.0))
+        sigma = min(max(spread, _MIN_SIGMA_PX), _MAX_SIGMA_PX)
+        information = one.H * (SIGMA_PX / sigma) ** 2
+        return FeaturePose(found.T_map_camera, information, fits, motions)
+
+    def _motion(self, T_map_camera: Array, sigmas_px: Sequence[float]) -> _Motion:
+        """The pose that minimises the errors under Student's t distribution, by its scales."""
+        T, H = T_map_camera, np.zeros((6, 6))
+        for sigma in sigmas_px:
+            for _ in range(_ITERATIONS):
+                local, weighted, squares = self._residuals(T)
+                robust = (STUDENT_T_DOF + 2) / (STUDENT_T_DOF * sigma**2 + squares)
+                J = _jacobians(self.camera, local)
+                WJ = np.einsum("nij,njk->nik", self.weights, J) * robust[:, None, None]
+                H = np.tensordot(J, WJ, axes=([0, 1], [0, 1]))
+                g = np.einsum("nik,ni,n->k", J, weighted, robust)
+                step = -np.linalg.solve(H + _DAMPING, g)
+                size = float(np.linalg.norm(step))
+                T = se3.orthonormalise(T @ se3.exp(step * min(1.0, _MAX_STEP / max(size, 1e-9))))
+                if size < _SMALL_STEP:
+                    break
+        return _Motion(T, self._errors(T), H)
+
+    def _residuals(self, T_map_camera: Array) -> tuple[Array, Array, Array]:
+        """Points [N, 3] in the camera, weighted residuals [N, 2] and their squares [N]."""
+        local = (self.points - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
+        ahead = local[:, 2] > NEAR_M
+        local = np.where(ahead[:, None], local, [0.0, 0.0, 1.0])
+        residuals = self.camera.project(local) - self.px
+        weighted = np.einsum("nij,nj->ni", self.weights, residuals)
+        return local, weighted, np.where(ahead, (residuals * weighted).sum(axis=1), np.inf)
+
+    def _errors(self, T_map_camera: Array) -> Array:
+        return np.asarray(np.sqrt(self._residuals(T_map_camera)[2]))
+
+    def _of(self, mask: Mask) -> Observations:
+        """The features of a mask [N]."""
+        kept = (a[mask] for a in (self.points, self.px, self.flow, self.weights))
+        return Observations(self.camera, *kept)
+
+    def _standing_or_moving(
+        self, moving: _Motion, T_last: Array
+    ) -> tuple[_Motion, tuple[float, float] | None]:
+        """The likelier one if the camera may stand still before something that moves, and shares.
+
+        A turn that cancels the translation keeps one plane in place. That many features should keep
+        theirs to a fraction of a pixel, while others move, would be a coincidence.
+
+        Args:
+            moving: the motion that explains all of them.
+            T_last: [4, 4] pose of the last frame.
+        """
+        T_shifted = se3.from_rotation_translation(T_last[:3, :3], moving.T_map_camera[:3, 3])
+        places = [projected(self.camera, self.points, T) for T in (T_last, T_shifted)]
+        parallax = np.linalg.norm(places[1] - places[0], axis=1)
+        still = np.linalg.norm(self.flow, axis=1) < _STILL_PX
+        share = float((still & (parallax > _PARALLAX_PX)).mean())
+        if share < _SECOND or 1.0 - float(still.mean()) < _SECOND:
+            return moving, None
+        if share < 0.5:
+            return moving, (1.0 - share, share)
+        return replace(moving, T_map_camera=T_last), (share, 1.0 - share)
+
+    def _two_motions(self, one: _Motion) -> tuple[float, float] | None:
+        """The shares of two motions if they explain the features much better than one does.
+
+        Args:
+            one: the motion that explains all of them best.
+        """
+        usual = float(np.quantile(one.errors, _QUANTILE))
+        local, _, squares = self._residuals(one.T_map_camera)
+        if usual < _NOTICED_PX or not np.isfinite(squares).all():
+            return None
+        residuals = _limited(self.camera.project(local) - self.px)
+        if _coherence(self.px, residuals) < _COHERENT:
+            return None
+        axis = np.linalg.svd(residuals - np.median(residuals, axis=0), full_matrices=False)[2][0]
+        along = residuals @ axis
+        first, motions = along > np.median(along), [one, one]
+        for _ in range(_ROUNDS):
+            groups = [first, ~first]
+            if min(group.sum() for group in groups) < max(_MIN_GROUP, _SECOND * len(first)):
+                return None
+            poses = [
+                self._of(group)._motion(motion.T_map_camera, (SIGMA_PX,)).T_map_camera
+                for group, motion in zip(groups, motions, strict=True)
+            ]
+            motions = [_Motion(T, self._errors(T), one.H) for T in poses]
+            first = motions[0].errors < motions[1].errors
+        better = np.minimum(motions[0].errors, motions[1].errors)
+        shares = [float((group & (better < _EXPLAINED_PX)).mean()) for group in (first, ~first)]
+        if min(shares) < _SECOND or np.quantile(better, _QUANTILE) > _MUCH_BETTER * usual:
+            return None
+        return max(shares), min(shares)
+
+
+def projected(camera: Camera, points: Array, T_map_camera: Array) -> Array:
+    """Pixels [N, 2] of points [N, 3] of the map; those behind the camera are somewhere outside."""
+    local = (points - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
+    local[:, 2] = np.maximum(local[:, 2], NEAR_M)
+    return camera.project(local)
+
+
+def _jacobians(camera: Camera, local: Array) -> Array:
+    """Derivatives [N, 2, 6] of the pixels of points [N, 3] by x in T_map_camera exp(x)."""
+    inverse = 1.0 / local[:, 2]
+    x, y, zero = local[:, 0] * inverse, local[:, 1] * inverse, np.zeros(len(local))
+    across = np.stack([-inverse, zero, x * inverse, x * y, -1.0 - x * x, y], axis=1)
+    down = np.stack([zero, -inverse, y * inverse, 1.0 + y * y, -x * y, -x], axis=1)
+    return np.stack([camera.fx * across, camera.fy * down], axis=1)
+
+
+def _coherence(px: Array, residuals: Array) -> float:
+    """Correlation of the residuals [N, 2] of neighbouring features; that of noise is 0."""
+    _, near = cKDTree(px).query(px, 2)
+    squares = float((residuals**2).sum())
+    return float((residuals * residuals[near[:, 1]]).sum()) / max(squares, 1e-12)
+
+
+def _limited(residuals: Array) -> Array:
+    """Residuals [N, 2], limited to twice their median length."""
+    lengths = np.linalg.norm(residuals, axis=1)
+    factors = np.minimum(1.0, 2.0 * np.median(lengths) / np.maximum(lengths, 1e-9))
+    return residuals * factors[:, None]
