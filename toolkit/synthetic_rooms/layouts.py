@@ -13,14 +13,15 @@ from toolkit.synthetic_rooms.collection import shelves_of_objects
 from toolkit.synthetic_rooms.finishes import LACQUER_REFLECTANCE
 from toolkit.synthetic_rooms.furnishing import furnish
 from toolkit.synthetic_rooms.furniture import Workshop
+from toolkit.synthetic_rooms.long_corridor import corridor_and_hall, there_and_back
 from toolkit.synthetic_rooms.parts import Part, moved
 from toolkit.synthetic_rooms.patches import placement
-from toolkit.synthetic_rooms.paths import WayPoint
+from toolkit.synthetic_rooms.paths import Gait, WayPoint
 from toolkit.synthetic_rooms.ray_casting import Scene
 from toolkit.synthetic_rooms.reflections import polished
 from toolkit.synthetic_rooms.revisits import Revisit
 from toolkit.synthetic_rooms.shell import WALL_HALF_M, Opening, RoomPlan, room_shell
-from toolkit.synthetic_rooms.textures import weakened
+from toolkit.synthetic_rooms.textures import Texture, damask, stripes, weakened
 from toolkit.synthetic_rooms.visits import EYE_M, heading, look_around, looking, visit
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, GLOSSY_CLASS_NAMES, numbered
 
@@ -32,7 +33,8 @@ _NORTH_OFFSET_M = 0.1  # offset of the camera path from the middle of a corridor
 _ORBIT_RADIUS_M, _ORBIT_HEIGHT_M, _TABLE_TOP_M = 1.05, 1.15, 0.55
 _ORBIT_POINTS, _ORBIT_STEP_RAD = 20, math.radians(20)
 _LONG_POINTS = 160
-_UNCHANGED = Revisit()
+_WALL_DISTANCE_M = 1.1
+_UNCHANGED, _STEADY = Revisit(), Gait()
 
 
 @dataclass(frozen=True)
@@ -45,12 +47,14 @@ class Layout:
             openings are identical.
         way_points: waypoints of the camera path.
         revisit: changes of the first room after half of the frames.
+        gait: how the camera is carried.
     """
 
     rooms: tuple[RoomPlan, ...]
     room_seeds: tuple[int, ...]
     way_points: tuple[WayPoint, ...]
     revisit: Revisit = _UNCHANGED
+    gait: Gait = _STEADY
 
 
 def single_room() -> Layout:
@@ -164,6 +168,30 @@ def one_room_for_long() -> Layout:
     return replace(single_room(), way_points=tuple(points))
 
 
+def long_corridor(side_turn_rad: float = 0.0, stop: float | None = None) -> Layout:
+    """A corridor of white panels with identical doors, at whose end the camera turns in a hall.
+
+    Args:
+        side_turn_rad: angle to the sides by which the camera turns while it walks.
+        stop: fraction of the path at which it stands still; None if it does not.
+    """
+    plans = corridor_and_hall()
+    way_points = there_and_back(*plans, side_turn_rad)
+    return Layout(plans, (41, 42), way_points, gait=Gait(tilt=2.5, stop=stop))
+
+
+def along_a_wall() -> Layout:
+    """An empty room, in which the camera moves along a wall and shows nothing else for a while."""
+    openings = (Opening("south", 1.6, "window"), Opening("south", 4.2, "door"))
+    plan = RoomPlan((0.0, 0.0), (5.4, 4.6), openings, "bare")
+    y = plan.size_m[1] / 2 - _WALL_DISTANCE_M
+    stands = [(x, y, EYE_M + 0.15 * math.sin(4.0 * x)) for x in np.linspace(-1.6, 1.6, 9)]
+    along = [WayPoint(stand, (stand[0], y + 1.0, stand[2])) for stand in stands]
+    start = [looking((-0.2, -0.3), -1.7), looking((-1.0, 0.4), -2.6), looking((-1.6, 0.9), -4.0)]
+    end = [looking((1.6, 0.9), -5.4), looking((1.0, 0.4), -6.8), looking((-0.2, -0.3), -7.9)]
+    return Layout((plan,), (43,), (*start, *along, *end))
+
+
 def _corridor_layout(
     styles: tuple[str, ...], room_seeds: tuple[int, ...], visits: tuple[int, ...]
 ) -> Layout:
@@ -250,7 +278,7 @@ def lamp_places(rooms: tuple[RoomPlan, ...]) -> NDArray[np.float64]:
     lamps = []
     for plan in rooms:
         (x, y), (width, _) = plan.centre_m, plan.size_m
-        count = max(1, round(width / 5.0))
+        count = plan.lamps or max(1, round(width / 5.0))
         for number in range(count):
             along = x + width * ((number + 0.5) / count - 0.5)
             lamps.append([along, y, plan.height_m - 0.15])
@@ -293,6 +321,9 @@ def build_scene(
     """
     look = look or Look()
     contrast = TEXTURES[look.texture]
+    if look.texture in WALL_PAPERS:
+        papered = tuple(replace(plan, wall=WALL_PAPERS[look.texture]) for plan in layout.rooms)
+        layout = replace(layout, rooms=papered)
     parts = build_parts(layout, seed, collection, later)
     if contrast < 1.0:
         parts = [replace(part, texture=weakened(part.texture, contrast)) for part in parts]
@@ -309,7 +340,13 @@ def build_scene(
 
 
 # The fraction of each texture's contrast that is kept.
-TEXTURES: dict[str, float] = {"normal": 1.0, "weak": 0.1}
+TEXTURES: dict[str, float] = {"normal": 1.0, "weak": 0.1, "wallpaper": 1.0, "stripes": 1.0}
+# Textures of all walls. The period is a whole number of texels in images of 320 and 640 pixels.
+WALL_PERIOD_M = 0.125
+WALL_PAPERS: dict[str, Texture] = {
+    "wallpaper": damask((0.76, 0.72, 0.62), (0.5, 0.42, 0.34), WALL_PERIOD_M, grain=0.0),
+    "stripes": stripes((0.76, 0.72, 0.62), (0.5, 0.56, 0.6), WALL_PERIOD_M, grain=0.0),
+}
 
 
 LAYOUTS: dict[str, Callable[[], Layout]] = {
@@ -327,4 +364,8 @@ LAYOUTS: dict[str, Callable[[], Layout]] = {
     "orbit": orbit_of_objects,
     "still": still_camera,
     "long": one_room_for_long,
+    "corridor": long_corridor,
+    "corridor-turns": lambda: long_corridor(side_turn_rad=1.5),
+    "corridor-stop": lambda: long_corridor(stop=0.2),
+    "wall": along_a_wall,
 }
