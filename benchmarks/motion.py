@@ -17,9 +17,12 @@ import tyro
 
 from benchmarks.motion_cases import (
     CASES,
+    INTERRUPTIONS,
     STRIDES,
+    CaseDataset,
     MixedDataset,
     cases_of,
+    mirrored_later,
     one_after_another,
     unrelated_photos,
     with_blank_wall,
@@ -88,6 +91,7 @@ KITCHEN = "RedKitchen"
 _KITCHEN_ERROR = TruthError(0.015, 0.5)
 # The other cases are those of the same recording at 15 frames per second.
 _MOTION = tuple(name for name in CASES if name.startswith(("stride", "jump")) or "drop" in name)
+_SMALL_STRIDES = ("stride 1", "stride 2", "stride 4")
 SEQUENCES = {
     KITCHEN: Sequence("redkitchen", 200, _KITCHEN_ERROR),
     "RedKitchen at 30 fps": Sequence("redkitchen_30fps", 600, _KITCHEN_ERROR, cases=_MOTION),
@@ -98,10 +102,18 @@ SEQUENCES = {
     "room, weak texture": Sequence("room-weak", 300),
     "room, narrow view": Sequence("room-narrow", 300),
     "room, sensor noise": Sequence("room-noise", 300),
+    "corridor": Sequence("corridor", 600, cases=_SMALL_STRIDES),
+    "corridor, turns": Sequence("corridor-turns", 600, cases=_SMALL_STRIDES),
+    "corridor, stop": Sequence("corridor-stop", 600, cases=_SMALL_STRIDES),
+    "corridor (TartanAir)": Sequence("tartanair-corridor", 70, cases=_SMALL_STRIDES),
+    "wallpaper": Sequence("wallpaper", 300, cases=_SMALL_STRIDES),
+    "stripes": Sequence("stripes", 300, cases=_SMALL_STRIDES),
 }
 
 _BAD_SIZE = (320, 240)
-BAD_INPUTS: dict[str, Callable[[], MixedDataset]] = {
+# Frames of the corridor before the hall; half of the way is between two doors.
+_WAY_THERE = 240
+BAD_INPUTS: dict[str, Callable[[], MixedDataset | CaseDataset]] = {
     "unrelated photos": lambda: unrelated_photos(
         [recorded(n, _BAD_SIZE) for n in ("redkitchen", "fr1_rpy", "office0", "hololens", "room")]
     ),
@@ -113,6 +125,11 @@ BAD_INPUTS: dict[str, Callable[[], MixedDataset]] = {
     "room, then another room": lambda: one_after_another(
         recorded("room", _BAD_SIZE), recorded("room", _BAD_SIZE, seed=1)
     ),
+    "RedKitchen, mirrored": lambda: mirrored_later(recorded("redkitchen", _BAD_SIZE)),
+    **{
+        f"corridor, {case}": CaseSource("corridor", None, case, frames=_WAY_THERE).open
+        for case in INTERRUPTIONS
+    },
 }
 # A few minutes; without rivals.
 SUBSET = (
@@ -147,6 +164,13 @@ without depth. Blur: 10 of every 30 frames, Gaussian, sigma 2 px; depth is as re
 every frame twice, the second time halfway to the next one. Half and double speed: all frames, with
 the times between them, and those of the readout of their rows, doubled or halved.
 
+Some views of the last sequences do not determine the motion. Corridor (`semsplat make-room --layout
+corridor --glossy --sensor-noise`, 6 cm per frame): white panels with joints of 5 mm, identical
+doors every 3.75 m and a stretch without joints, to a hall and back; with turns to the sides, and
+with a stop of 20 frames. Corridor (TartanAir): one of a hospital, up to 14 cm per frame.
+Wallpaper and stripes (`--layout wall`, 3 cm per frame): along a wall whose pattern repeats every
+12.5 cm.
+
 `silently_wrong`: frames with a pose, neither lost nor doubtful, whose motion since the previous
 such frame of the same part is off by more than 5 cm or 2 degrees, plus the error of the truth:
 1.5 cm and 0.5 degrees on RedKitchen, 0.5 cm and 0.3 degrees on fr1/rpy, 2 cm and 0.5 degrees on the
@@ -156,6 +180,9 @@ alignment; none for fewer than three poses. `steps_per_keyframe`: of the map's o
 
 Bad inputs have 320x240 pixels. Unrelated photos: 8 frames of each of five scenes in turn. Blank
 wall: 100 frames of a uniform wall in the middle. Then: the first halves of two recordings.
+Mirrored: the second half of the recording, left-right, colour and depth; it is another scene.
+Interruptions of the way along the corridor: the frame in the middle in place of the ten after it
+(frozen), and a second of black frames without depth (black) or without frames (pause).
 `in_wrong_part`: frames, neither lost nor doubtful, in a part of which most show another scene.
 
 Rivals: Open3D's hybrid odometry, started from constant velocity, with 30, 20 and 10 iterations;

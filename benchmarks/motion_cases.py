@@ -30,6 +30,7 @@ JUMPS = (50, 100, 200)
 # For sequences that are too short for the others.
 _SHORT_JUMP = 25
 _COVERED = 10
+_FROZEN, _INTERRUPTED = 10, 30
 # The second ten of every thirty frames are blurred, by a Gaussian of this sigma in pixels.
 _BLUR_SIGMA_PX, _BLUR_LENGTH = 2.0, 10
 _WALL_FRAMES, _WALL_DEPTH_M, _WALL_BRIGHTNESS, _WALL_NOISE = 100, 1.0, 0.7, 0.01
@@ -86,10 +87,18 @@ def _jump(length: int, times_s: Array, _: np.random.Generator) -> Selection:
     return _kept(times_s, kept)
 
 
-def _covered(times_s: Array, rng: np.random.Generator) -> Selection:
-    """Ten frames in the middle are black and without depth."""
+def _covered(length: int, times_s: Array, rng: np.random.Generator) -> Selection:
+    """Consecutive frames in the middle are black and without depth."""
     first = len(times_s) // 2
-    return replace(_strided(1, times_s, rng), covered=range(first, first + _COVERED))
+    return replace(_strided(1, times_s, rng), covered=range(first, first + length))
+
+
+def _frozen(times_s: Array, _: np.random.Generator) -> Selection:
+    """The frame in the middle is shown in place of the ten after it."""
+    indices = np.arange(len(times_s))
+    middle = len(times_s) // 2
+    indices[middle : middle + _FROZEN + 1] = middle
+    return Selection(indices, times_s)
 
 
 def _blurred(times_s: Array, rng: np.random.Generator) -> Selection:
@@ -121,11 +130,17 @@ CASES: dict[str, Select] = {
     "30 % dropped": _dropped,
     "bursts dropped": _bursts,
     **{f"jump of {length}": partial(_jump, length) for length in (_SHORT_JUMP, *JUMPS)},
-    "covered": _covered,
+    "covered": partial(_covered, _COVERED),
     "blur": _blurred,
     "repeated": _repeated,
     "half speed": partial(_slower, 2.0),
     "double speed": partial(_slower, 0.5),
+}
+# Of bad inputs; the last two take a second of a synthetic room.
+INTERRUPTIONS: dict[str, Select] = {
+    "frozen": _frozen,
+    "black": partial(_covered, _INTERRUPTED),
+    "pause": partial(_jump, _INTERRUPTED),
 }
 
 
@@ -141,11 +156,12 @@ class CaseDataset(RecordedDataset):
 
     Attributes:
         truth: [4, 4] T_world_camera by index of the frame, where it is known.
+        scenes: which scene each frame shows: the same one.
 
     Args:
         recording: description of all frames.
         image_size: (width, height) in pixels, or None for the native size.
-        case: a key of CASES.
+        case: a key of CASES or of INTERRUPTIONS.
         seed: of the choice of frames.
         estimate_shutter: estimate the rolling shutter from these frames, as a run does.
     """
@@ -159,7 +175,7 @@ class CaseDataset(RecordedDataset):
         estimate_shutter: bool = False,
     ) -> None:
         times_s = np.array([files.timestamp_s for files in recording.files])
-        selection = CASES[case](times_s, np.random.default_rng(seed))
+        selection = (CASES | INTERRUPTIONS)[case](times_s, np.random.default_rng(seed))
         found = _true_poses(recording, [recording.files[i].timestamp_s for i in selection.indices])
         times_s = selection.timestamps_s
         files = tuple(
@@ -176,6 +192,7 @@ class CaseDataset(RecordedDataset):
             shown = replace(shown, readout_s=estimate_readout(shown).certain_readout_s)
         super().__init__(shown, image_size)
         self.truth, self._selection = found, selection
+        self.scenes = [0] * len(files)
 
     def __getitem__(self, index: int) -> Frame:
         """Load a frame and edit it as the case demands."""
@@ -271,6 +288,30 @@ def one_after_another(first: RecordedDataset, second: RecordedDataset) -> MixedD
     shots = [(0, index) for index in range(len(first) // 2)]
     shots += [(1, index) for index in range(len(second) // 2)]
     return MixedDataset("two recordings", [first, second], shots)
+
+
+class _MirroredDataset(RecordedDataset):
+    """The mirror images (left-right) of a recording, with the poses that they determine."""
+
+    def __init__(self, dataset: RecordedDataset) -> None:
+        truth = dataset.recording.ground_truth
+        assert truth is not None, f"{dataset.name} has no ground truth"
+        flip = np.diag([-1.0, 1.0, 1.0, 1.0])
+        mirrored = Trajectory(truth.timestamps_s, flip @ truth.T_world_camera @ flip)
+        super().__init__(replace(dataset.recording, ground_truth=mirrored), dataset.camera.size)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Load a frame and mirror colour and depth."""
+        frame = super().__getitem__(index)
+        rgb, depth_m = (image[:, ::-1].copy() for image in (frame.rgb, frame.depth_m))
+        return replace(frame, rgb=rgb, depth_m=depth_m)
+
+
+def mirrored_later(dataset: RecordedDataset) -> MixedDataset:
+    """A recording whose second half is mirrored (left-right), colour and depth."""
+    middle = len(dataset) // 2
+    shots = [(int(index >= middle), index) for index in range(len(dataset))]
+    return MixedDataset("mirrored later", [dataset, _MirroredDataset(dataset)], shots)
 
 
 def _wall(index: int, number: int, camera: Camera) -> Frame:

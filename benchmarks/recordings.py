@@ -16,6 +16,8 @@ from toolkit.datasets.registry import open_dataset
 _NOISE = ("--sensor-noise",)
 _RING = ("--layout", "ring", "--frames", "900")
 _SMALL = ("--image-size", "160", "120", "--sensor-noise")
+_CORRIDOR = ("--glossy", "--frames", "600", *_NOISE)
+_WALL = ("--frames", "300", *_NOISE)
 _TINY = ("--image-size", "120", "90", "--sensor-noise")
 ROOMS: dict[str, tuple[str, ...]] = {
     "room": (),
@@ -58,6 +60,12 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "hall-short": ("--layout", "hall", "--frames", "800", *_TINY),
     "hall-large": ("--layout", "hall", "--frames", "3600", *_NOISE),
     "long": ("--layout", "long", *_SMALL),
+    # Views that do not determine the camera's motion; 6 and 3 cm per frame.
+    "corridor": ("--layout", "corridor", *_CORRIDOR),
+    "corridor-turns": ("--layout", "corridor-turns", *_CORRIDOR),
+    "corridor-stop": ("--layout", "corridor-stop", *_CORRIDOR),
+    "wallpaper": ("--layout", "wall", "--texture", "wallpaper", *_WALL),
+    "stripes": ("--layout", "wall", "--texture", "stripes", *_WALL),
 }
 
 
@@ -98,6 +106,7 @@ RECORDINGS = {
     "office0": Recording("replica", "replica_office0"),
     "hololens": Recording("folder", "hololens_walk"),
     "hololens-small": Recording("folder", "hololens_walk", (270, 180)),
+    "tartanair-corridor": Recording("folder", "corridor"),
     "euroc": Recording("folder", "euroc_v101"),
 }
 # The file of true poses has the rotations from the world to the camera.

@@ -74,6 +74,18 @@ def test_a_still_camera_has_no_readout():
     assert estimate_shutter(still).fault
 
 
+def test_frames_without_smooth_surfaces_have_no_readout():
+    class Stripes(MovingRoom):
+        """Depth in pairs of columns, as on walls that recede steeply: no pixel has a normal."""
+
+        def __getitem__(self, index):
+            frame = super().__getitem__(index)
+            measured = np.arange(frame.depth_m.shape[1]) % 4 < 2
+            return replace(frame, depth_m=np.where(measured, frame.depth_m, np.float32(0.0)))
+
+    assert estimate_shutter(Stripes(times(), 0.02)).fault
+
+
 @pytest.mark.parametrize("stamps", [times(0), times(1), times(20), times(60, hertz=5)])
 def test_few_frames_and_large_steps_are_not_used(stamps):
     found = estimate_shutter(MovingRoom(stamps, 0.03))

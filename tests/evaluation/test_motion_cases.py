@@ -9,22 +9,25 @@ import pytest
 
 from benchmarks.motion_cases import (
     CASES,
+    INTERRUPTIONS,
     CaseDataset,
     MixedDataset,
     Selection,
     cases_of,
+    mirrored_later,
     one_after_another,
     unrelated_photos,
     with_blank_wall,
 )
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
+from toolkit.geometry import se3
 
 TIMES_S = 5.0 + np.arange(300) / 30.0
 
 
 def select(case: str, seed: int = 0) -> Selection:
-    return CASES[case](TIMES_S, np.random.default_rng(seed))
+    return (CASES | INTERRUPTIONS)[case](TIMES_S, np.random.default_rng(seed))
 
 
 def case_of(tiny_recording: Path, case: str) -> CaseDataset:
@@ -35,7 +38,7 @@ def opened(tiny_recording: Path) -> RecordedDataset:
     return RecordedDataset(describe("folder", tiny_recording))
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", CASES | INTERRUPTIONS)
 def test_frames_are_in_order_and_their_times_increase(case: str) -> None:
     selection = select(case)
     assert selection.indices[0] == 0
@@ -59,6 +62,17 @@ def test_times_of_kept_frames_are_those_of_the_recording() -> None:
     for case in ("stride 8", "30 % dropped", "jump of 50", "covered", "blur"):
         selection = select(case)
         np.testing.assert_array_equal(selection.timestamps_s, TIMES_S[selection.indices])
+
+
+def test_a_frozen_stream_shows_one_frame_while_time_goes_on() -> None:
+    selection = select("frozen")
+    assert selection.indices[149:163].tolist() == [149, *[150] * 11, 161, 162]
+    np.testing.assert_array_equal(selection.timestamps_s, TIMES_S)
+
+
+def test_interruptions_take_a_second() -> None:
+    assert len(select("black").covered) == 30
+    assert np.diff(select("pause").timestamps_s).max() == pytest.approx(1.0, abs=0.04)
 
 
 def test_repeated_frames_come_halfway_to_the_next() -> None:
@@ -147,6 +161,23 @@ def test_a_wall_has_no_texture_no_truth_and_ends(tiny_recording: Path) -> None:
     assert np.abs(wall.rgb - 0.7).max() < 0.1
     assert np.abs(wall.depth_m - 1.0).max() < 0.1
     np.testing.assert_array_equal(mixed[103].rgb, opened(tiny_recording)[3].rgb)
+
+
+def test_the_second_half_is_mirrored_with_its_poses(tiny_recording: Path) -> None:
+    recording = opened(tiny_recording)
+    mixed = mirrored_later(recording)
+    assert mixed.scenes == [0, 0, 0, 1, 1, 1]
+    np.testing.assert_array_equal(mixed[2].rgb, recording[2].rgb)
+    np.testing.assert_array_equal(mixed[3].rgb, recording[3].rgb[:, ::-1])
+    np.testing.assert_allclose(mixed[3].depth_m, recording[3].depth_m[:, ::-1], rtol=1e-6)
+    # A point to the right of one image is to the left of the mirrored one.
+    assert recording.ground_truth is not None
+    T_world_camera = recording.ground_truth.T_world_camera
+    flip = np.array([-1.0, 1.0, 1.0])
+    point = np.array([0.3, 0.1, 2.0])
+    true = se3.transform_points(se3.inverse(T_world_camera[5]) @ T_world_camera[3], point)
+    found = se3.transform_points(se3.inverse(mixed.truth[5]) @ mixed.truth[3], flip * point)
+    np.testing.assert_allclose(found, flip * true, atol=1e-12)
 
 
 def test_two_recordings_follow_each_other(tiny_recording: Path) -> None:

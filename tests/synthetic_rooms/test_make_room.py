@@ -16,6 +16,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.synthetic_rooms import RoomSettings, SensorModel, make_room, tiny_room
 from toolkit.synthetic_rooms.unseen import _visible_fraction, poses_off_the_path
+from toolkit.synthetic_rooms.writer import _stored
 
 TINY = RoomSettings(frames=6, share=0.1, width=64, height=48, unseen=2)
 LAUNCHER = Path(__file__).parents[2] / "data_tools" / "make_room.py"
@@ -58,6 +59,10 @@ def test_dataset_reader_round_trip(made):
     np.testing.assert_allclose(
         dataset.ground_truth.T_world_camera[0], truth.T_world_camera[0], atol=1e-8
     )
+
+
+def test_depth_beyond_the_range_of_the_files_is_missing():
+    np.testing.assert_array_equal(_stored(np.array([0.0, 9.99, 10.1])), [0, 65469, 0])
 
 
 def test_mesh_agrees_with_depth(made):
@@ -125,7 +130,7 @@ def test_path_of_a_file_raises(tmp_path):
         ({"share": 0.0}, "share must lie in"),
         ({"width": 4}, "at least 16x16"),
         ({"seed": -1}, "must not be negative"),
-        ({"texture": "none"}, "texture must be one of normal, weak"),
+        ({"texture": "none"}, "texture must be one of normal, weak, wallpaper"),
         ({"fov_deg": 5.0}, "fov_deg must lie in"),
         ({"classes": 19}, r"classes must lie in \[20, 500\], got 19"),
         ({"classes": 501}, r"classes must lie in \[20, 500\], got 501"),

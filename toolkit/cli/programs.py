@@ -251,6 +251,10 @@ class MakeRoomOptions:
         "orbit",
         "still",
         "long",
+        "corridor",
+        "corridor-turns",
+        "corridor-stop",
+        "wall",
     ] = "room"
     """Layout: one room, three on a corridor (rooms), twelve (hall), four that close a loop (ring).
     When the camera returns to the first room of the ring, objects have moved (ring-moved), its
@@ -258,7 +262,10 @@ class MakeRoomOptions:
     repainted in this light (ring-repainted), or all of this (ring-changed). Other layouts: three
     rooms of which two are equal (twins) or have equal walls and different objects (twins-objects),
     around a table with objects (orbit), one room from a single place (still), or one room in which
-    the camera moves freely for minutes (long)."""
+    the camera moves freely for minutes (long). In others, some views do not determine the motion:
+    along white panels with identical doors to a hall and back (corridor), with turns to the sides
+    (corridor-turns) or a stop of 20 frames (corridor-stop), and along a wall of an empty room
+    (wall)."""
     seed: NonNegativeInt = 0
     """Seed of furniture, textures, camera motion and sensor noise."""
     frames: PositiveInt | None = None
@@ -282,9 +289,10 @@ class MakeRoomOptions:
     polish: Annotated[float, Range(gt=0, lt=1)] = 0.07
     """With --glossy, the fraction of the light that the floor reflects where it is seen from above;
     more at grazing angles."""
-    texture: Literal["normal", "weak"] = "normal"
+    texture: Literal["normal", "weak", "wallpaper", "stripes"] = "normal"
     """Texture of all surfaces. Weak ones keep a tenth of their contrast, so that images show little
-    but the edges and shadows of objects."""
+    but the edges and shadows of objects. With wallpaper or stripes, all walls have a pattern that
+    repeats exactly every 12.5 cm."""
     fov_deg: Annotated[float, Range(ge=10, le=120)] | None = None
     """Horizontal field of view of the camera, in degrees. By default, 64 degrees."""
     unseen: NonNegativeInt = 20

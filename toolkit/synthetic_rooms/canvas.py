@@ -77,6 +77,16 @@ class Canvas:
         distance = np.abs((coordinate_m / period_m + 0.5) % 1.0 - 0.5) * period_m
         return self.inside(width_m / 2 - distance)
 
+    def lines(self, coordinate_m: Image, period_m: float, width_m: float) -> Image:
+        """Return the fraction [h, w] of each texel that periodic thin lines cover.
+
+        They are centred at odd multiples of half the period. Lines thinner than a texel are faint
+        instead of too wide.
+        """
+        distance = np.abs(coordinate_m / period_m % 1.0 - 0.5) * period_m
+        covered = ((width_m + self.texel_m) / 2 - distance) / self.texel_m
+        return np.clip(covered, 0.0, min(1.0, width_m / self.texel_m))
+
     def inside(self, distance_m: Image) -> Image:
         """Return a soft mask [h, w] of a signed distance in metres, positive inside."""
         return np.clip(distance_m / (1.5 * self.texel_m) + 0.5, 0.0, 1.0)

@@ -119,6 +119,7 @@ STYLES: dict[str, tuple[Group, ...]] = {
     "office": (_desk_group, big.shelf, _cabinet_group, _boxes_group, _PLANT, _BIN),
     "dining": (_dining_group, _cabinet_group, big.shelf, big.stool, _BALL, _PLANT),
     "corridor": (_boxes_group, big.stool),
+    "bare": (),
     "display": (_sofa_group, _cabinet_group, big.wardrobe, big.shelf, big.floor_lamp, _BIN),
 }  # fmt: skip
 
@@ -127,7 +128,7 @@ _MIDDLE: dict[str, Group] = {"display": _table_of_objects}
 
 
 def furnish(plan: RoomPlan, shop: Workshop, rearranged: bool = False) -> list[Part]:
-    """Place furniture along the walls and pictures in the remaining space.
+    """Place furniture along the walls and pictures in the remaining space; nothing in bare rooms.
 
     Several random arrangements are tried. The first one that places all pieces is used, otherwise
     the one that places most.
@@ -136,6 +137,8 @@ def furnish(plan: RoomPlan, shop: Workshop, rearranged: bool = False) -> list[Pa
         rearranged: place all but the largest pieces elsewhere, or leave them out where there is no
             place; walls and what hangs on them stay the same.
     """
+    if not STYLES[plan.style]:
+        return []
     pieces = dict(enumerate(group(shop) for group in STYLES[plan.style]))
     best: dict[int, list[Part]] = {}
     for rng in shop.rng.spawn(_ATTEMPTS):

@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 
 from toolkit.synthetic_rooms.collection import shelves_of_objects
 from toolkit.synthetic_rooms.finishes import LACQUER_REFLECTANCE
-from toolkit.synthetic_rooms.furnishing import furnish, path_reach_m
+from toolkit.synthetic_rooms.furnishing import furnish
 from toolkit.synthetic_rooms.furniture import Workshop
+from toolkit.synthetic_rooms.long_corridor import corridor_and_hall, there_and_back
 from toolkit.synthetic_rooms.parts import Part, moved
 from toolkit.synthetic_rooms.patches import placement
-from toolkit.synthetic_rooms.paths import WayPoint
+from toolkit.synthetic_rooms.paths import Gait, WayPoint
 from toolkit.synthetic_rooms.ray_casting import Scene
 from toolkit.synthetic_rooms.reflections import polished
 from toolkit.synthetic_rooms.revisits import Revisit
 from toolkit.synthetic_rooms.shell import WALL_HALF_M, Opening, RoomPlan, room_shell
-from toolkit.synthetic_rooms.textures import weakened
+from toolkit.synthetic_rooms.textures import Texture, damask, stripes, weakened
+from toolkit.synthetic_rooms.visits import EYE_M, heading, look_around, looking, visit
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES, GLOSSY_CLASS_NAMES, numbered
 
-_EYE_M = 1.45
 # Numbers of objects per room; a room has about a hundred objects.
 _MAX_OBJECTS = 1000
 _WALL_M = 2 * WALL_HALF_M
@@ -32,7 +33,8 @@ _NORTH_OFFSET_M = 0.1  # offset of the camera path from the middle of a corridor
 _ORBIT_RADIUS_M, _ORBIT_HEIGHT_M, _TABLE_TOP_M = 1.05, 1.15, 0.55
 _ORBIT_POINTS, _ORBIT_STEP_RAD = 20, math.radians(20)
 _LONG_POINTS = 160
-_UNCHANGED = Revisit()
+_WALL_DISTANCE_M = 1.1
+_UNCHANGED, _STEADY = Revisit(), Gait()
 
 
 @dataclass(frozen=True)
@@ -45,19 +47,21 @@ class Layout:
             openings are identical.
         way_points: waypoints of the camera path.
         revisit: changes of the first room after half of the frames.
+        gait: how the camera is carried.
     """
 
     rooms: tuple[RoomPlan, ...]
     room_seeds: tuple[int, ...]
     way_points: tuple[WayPoint, ...]
     revisit: Revisit = _UNCHANGED
+    gait: Gait = _STEADY
 
 
 def single_room() -> Layout:
     """One furnished room, 5.4 x 4.6 m, in which the camera moves along a loop."""
     openings = (Opening("north", 4.2, "window"), Opening("south", 4.4, "door"))
     plan = RoomPlan((0.0, 0.0), (5.4, 4.6), openings, "studio")
-    return Layout((plan,), (0,), tuple(_look_around(plan, 0.0, math.radians(368))))
+    return Layout((plan,), (0,), tuple(look_around(plan, 0.0, math.radians(368))))
 
 
 def ring_of_rooms(revisit: Revisit = _UNCHANGED) -> Layout:
@@ -81,8 +85,8 @@ def ring_of_rooms(revisit: Revisit = _UNCHANGED) -> Layout:
     for number in (0, 1, 2, 3, 0):
         plan = plans[number]
         entry, leave = plan.openings[0], plan.openings[1]
-        way_points += _visit(
-            plan, entry if way_points else None, leave, _heading(plan, entry, inward=True), turn
+        way_points += visit(
+            plan, entry if way_points else None, leave, heading(plan, entry, inward=True), turn
         )
     return Layout(tuple(plans), (0, 1, 2, 3), tuple(way_points[:-2]), revisit)
 
@@ -144,7 +148,7 @@ def still_camera() -> Layout:
         shift = 0.003 * math.sin(2.0 * number), 0.003 * math.sin(3.1 * number + 1.0)
         aim = 0.1 * math.sin(1.7 * number), 0.1 * math.sin(0.9 * number + 0.5)
         points.append(
-            WayPoint((0.7 + shift[0], 0.2 + shift[1], _EYE_M), (-1.3, aim[0], 0.85 + aim[1]))
+            WayPoint((0.7 + shift[0], 0.2 + shift[1], EYE_M), (-1.3, aim[0], 0.85 + aim[1]))
         )
     return replace(room, way_points=tuple(points))
 
@@ -156,12 +160,36 @@ def one_room_for_long() -> Layout:
     for _ in range(_LONG_POINTS):
         yaw += rng.uniform(-1.2, 1.2)
         x, y = rng.uniform(-0.75, 0.75, 2)
-        height, pitch = _EYE_M + rng.uniform(-0.2, 0.15), rng.uniform(-0.45, 0.1)
+        height, pitch = EYE_M + rng.uniform(-0.2, 0.15), rng.uniform(-0.45, 0.1)
         ahead = math.cos(yaw), math.sin(yaw)
         points.append(
             WayPoint((x, y, height), (x + ahead[0], y + ahead[1], height + math.tan(pitch)))
         )
     return replace(single_room(), way_points=tuple(points))
+
+
+def long_corridor(side_turn_rad: float = 0.0, stop: float | None = None) -> Layout:
+    """A corridor of white panels with identical doors, at whose end the camera turns in a hall.
+
+    Args:
+        side_turn_rad: angle to the sides by which the camera turns while it walks.
+        stop: fraction of the path at which it stands still; None if it does not.
+    """
+    plans = corridor_and_hall()
+    way_points = there_and_back(*plans, side_turn_rad)
+    return Layout(plans, (41, 42), way_points, gait=Gait(tilt=2.5, stop=stop))
+
+
+def along_a_wall() -> Layout:
+    """An empty room, in which the camera moves along a wall and shows nothing else for a while."""
+    openings = (Opening("south", 1.6, "window"), Opening("south", 4.2, "door"))
+    plan = RoomPlan((0.0, 0.0), (5.4, 4.6), openings, "bare")
+    y = plan.size_m[1] / 2 - _WALL_DISTANCE_M
+    stands = [(x, y, EYE_M + 0.15 * math.sin(4.0 * x)) for x in np.linspace(-1.6, 1.6, 9)]
+    along = [WayPoint(stand, (stand[0], y + 1.0, stand[2])) for stand in stands]
+    start = [looking((-0.2, -0.3), -1.7), looking((-1.0, 0.4), -2.6), looking((-1.6, 0.9), -4.0)]
+    end = [looking((1.6, 0.9), -5.4), looking((1.0, 0.4), -6.8), looking((-0.2, -0.3), -7.9)]
+    return Layout((plan,), (43,), (*start, *along, *end))
 
 
 def _corridor_layout(
@@ -184,7 +212,7 @@ def _corridor_layout(
     for place, number in enumerate(visits):
         room = rooms[number]
         entry, north = room.openings[0], math.pi / 2
-        way_points += _visit(room, entry if way_points else None, entry, north, math.pi)
+        way_points += visit(room, entry if way_points else None, entry, north, math.pi)
         if place + 1 < len(visits):
             way_points += _walk_corridor(corridors[0], room, rooms[visits[place + 1]])
     bare = tuple(range(9, 9 + len(corridors)))
@@ -215,51 +243,7 @@ def _walk_corridor(corridor: RoomPlan, start: RoomPlan, end: RoomPlan) -> list[W
     ahead, door = (0.0, 0.6) if east else (math.pi, math.pi - 0.6)
     step = 0.35 if east else -0.35
     stands = np.linspace(x0 + step, x1 - step, 4)
-    return [_looking((x, y), ahead if abs(x1 - x) > 0.6 else door) for x in stands]
-
-
-def _visit(
-    plan: RoomPlan, entry: Opening | None, leave: Opening, heading_rad: float, turn_rad: float
-) -> list[WayPoint]:
-    """Return the waypoints through the entry, around the room and out of another door."""
-    way_points: list[WayPoint] = []
-    if entry is not None:
-        sill, _ = plan.door_way(entry)
-        way_points.append(_looking(sill, heading_rad))
-    way_points += _look_around(plan, heading_rad, turn_rad)
-    sill, outward = plan.door_way(leave)
-    out = heading_rad + turn_rad
-    return [*way_points, _looking(sill - 0.8 * outward, out), _looking(sill, out)]
-
-
-def _heading(plan: RoomPlan, door: Opening, inward: bool) -> float:
-    _, outward = plan.door_way(door)
-    x, y = -outward if inward else outward
-    return math.atan2(y, x)
-
-
-def _looking(stand: NDArray | tuple[float, float], heading_rad: float) -> WayPoint:
-    """Return a waypoint that looks straight ahead and slightly down."""
-    x, y = stand
-    ahead = (x + 2 * math.cos(heading_rad), y + 2 * math.sin(heading_rad), _EYE_M - 0.25)
-    return WayPoint((float(x), float(y), _EYE_M), ahead)
-
-
-def _look_around(plan: RoomPlan, start_rad: float, turn_rad: float) -> list[WayPoint]:
-    """Return a loop around the centre of a room that looks across at the opposite walls."""
-    count = max(2, round(abs(turn_rad) / math.radians(30))) + 1
-    centre, reach = np.array(plan.centre_m), path_reach_m(plan)
-    wall = np.array(plan.size_m) / 2
-    points = []
-    for number, angle in enumerate(np.linspace(start_rad, start_rad + turn_rad, count)):
-        direction = np.array([math.cos(angle), math.sin(angle)])
-        # From the far side of the loop, the camera sees the largest part of the wall.
-        x, y = centre - reach * direction
-        target_x, target_y = centre + wall * direction
-        height = _EYE_M + 0.1 * math.sin(2.3 * number)
-        look = 0.85 + 0.25 * math.sin(1.7 * number)
-        points.append(WayPoint((x, y, height), (target_x, target_y, look)))
-    return points
+    return [looking((x, y), ahead if abs(x1 - x) > 0.6 else door) for x in stands]
 
 
 def build_parts(
@@ -294,7 +278,7 @@ def lamp_places(rooms: tuple[RoomPlan, ...]) -> NDArray[np.float64]:
     lamps = []
     for plan in rooms:
         (x, y), (width, _) = plan.centre_m, plan.size_m
-        count = max(1, round(width / 5.0))
+        count = plan.lamps or max(1, round(width / 5.0))
         for number in range(count):
             along = x + width * ((number + 0.5) / count - 0.5)
             lamps.append([along, y, plan.height_m - 0.15])
@@ -337,6 +321,9 @@ def build_scene(
     """
     look = look or Look()
     contrast = TEXTURES[look.texture]
+    if look.texture in WALL_PAPERS:
+        papered = tuple(replace(plan, wall=WALL_PAPERS[look.texture]) for plan in layout.rooms)
+        layout = replace(layout, rooms=papered)
     parts = build_parts(layout, seed, collection, later)
     if contrast < 1.0:
         parts = [replace(part, texture=weakened(part.texture, contrast)) for part in parts]
@@ -353,7 +340,13 @@ def build_scene(
 
 
 # The fraction of each texture's contrast that is kept.
-TEXTURES: dict[str, float] = {"normal": 1.0, "weak": 0.1}
+TEXTURES: dict[str, float] = {"normal": 1.0, "weak": 0.1, "wallpaper": 1.0, "stripes": 1.0}
+# Textures of all walls. The period is a whole number of texels in images of 320 and 640 pixels.
+WALL_PERIOD_M = 0.125
+WALL_PAPERS: dict[str, Texture] = {
+    "wallpaper": damask((0.76, 0.72, 0.62), (0.5, 0.42, 0.34), WALL_PERIOD_M, grain=0.0),
+    "stripes": stripes((0.76, 0.72, 0.62), (0.5, 0.56, 0.6), WALL_PERIOD_M, grain=0.0),
+}
 
 
 LAYOUTS: dict[str, Callable[[], Layout]] = {
@@ -371,4 +364,8 @@ LAYOUTS: dict[str, Callable[[], Layout]] = {
     "orbit": orbit_of_objects,
     "still": still_camera,
     "long": one_room_for_long,
+    "corridor": long_corridor,
+    "corridor-turns": lambda: long_corridor(side_turn_rad=1.5),
+    "corridor-stop": lambda: long_corridor(stop=0.2),
+    "wall": along_a_wall,
 }

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from toolkit.geometry import se3
 
+# A stop: frames in which the camera stands still, and those in which it slows down before and
+# speeds up after it.
+STILL_FRAMES, _RAMP_FRAMES = 20, 15
 # Translation and rotation per frame at walking pace and 30 Hz.
 _STEP_M = 0.0155
 _TURN_RAD = math.radians(1.27)
@@ -26,6 +29,23 @@ class WayPoint:
     target_m: tuple[float, float, float]
 
 
+@dataclass(frozen=True)
+class Gait:
+    """How the camera is carried.
+
+    Attributes:
+        tilt: factor of the usual sway in yaw, pitch and roll (up to 0.9 degrees).
+        stop: fraction of the path at which the camera slows down and stands still for a moment;
+            None if it keeps its pace.
+    """
+
+    tilt: float = 1.0
+    stop: float | None = None
+
+
+_STEADY = Gait()
+
+
 def look_at(position_m: NDArray, target_m: NDArray) -> NDArray[np.float64]:
     """Return the pose [4, 4] at a position [3] that looks at a target [3], without roll."""
     forward = np.asarray(target_m, float) - position_m
@@ -37,27 +57,55 @@ def look_at(position_m: NDArray, target_m: NDArray) -> NDArray[np.float64]:
 
 
 def hand_held_path(
-    way_points: tuple[WayPoint, ...], frames: int | None, share: float, rng: np.random.Generator
+    way_points: tuple[WayPoint, ...],
+    frames: int | None,
+    share: float,
+    rng: np.random.Generator,
+    gait: Gait = _STEADY,
 ) -> NDArray[np.float64]:
-    """Return poses [frames, 4, 4] along way points at constant pace, with sway.
+    """Return poses [frames, 4, 4] along way points at constant pace but for a stop, with sway.
 
     Args:
         way_points: at least three.
         frames: number of poses; None for walking pace at 30 Hz.
         share: fraction of the path to use, in (0, 1].
         rng: source of randomness of the sway.
+        gait: how the camera is carried.
     """
     dense = _spline(way_points, 200 * len(way_points))
     pace = _evenly_paced(dense)
     if frames is None:
         frames = max(2, round(share * _pace_length(dense) / _STEP_M))
-    moments = np.interp(np.linspace(0.0, share, frames), pace, np.linspace(0.0, 1.0, len(dense)))
+        if gait.stop is not None:
+            frames += STILL_FRAMES + _RAMP_FRAMES
+    progress = np.linspace(0.0, share, frames)
+    if gait.stop is not None:
+        progress = _with_stop(progress, gait.stop)
+    moments = np.interp(progress, pace, np.linspace(0.0, 1.0, len(dense)))
     position, angles = _at(dense, moments)
     # The sway depends on the travelled distance: a shorter path is a prefix of a longer one.
-    sway = _sway(np.linspace(0.0, share, frames) * _pace_length(dense), rng)
+    sway = _sway(progress * _pace_length(dense), rng)
+    sway[:, 3:] *= gait.tilt
     return np.stack(
         [_pose(p + s[:3], a + s[3:5], s[5]) for p, a, s in zip(position, angles, sway, strict=True)]
     )
+
+
+def _with_stop(progress: NDArray[np.float64], place: float) -> NDArray[np.float64]:
+    """Return the progress [N] along a path on which the camera stands still at about `place`.
+
+    Args:
+        progress: [N] at constant pace.
+        place: in the units of `progress`.
+    """
+    pace = np.ones(len(progress) - 1)
+    first = int(np.searchsorted(progress, place))
+    slower = np.linspace(1.0, 0.0, _RAMP_FRAMES, endpoint=False)
+    dip = np.concatenate([slower, np.zeros(STILL_FRAMES - 1), slower[::-1]])
+    end = min(first + len(dip), len(pace))
+    pace[first:end] = dip[: max(0, end - first)]
+    way = np.concatenate([[0.0], np.cumsum(pace)])
+    return np.asarray(progress[-1] * way / (way[-1] or 1.0))
 
 
 def _spline(way_points: tuple[WayPoint, ...], count: int) -> NDArray[np.float64]:

@@ -48,8 +48,11 @@ class RoomSettings:
             close a loop), "ring-moved", "ring-light", "ring-evening", "ring-repainted" and
             "ring-changed" (the first room differs when the camera returns: `Revisit`), "twins"
             (two of three rooms are identical), "twins-objects" (they contain different objects),
-            "orbit" (around objects on a table), "still" (one room from one place) or "long"
-            (freely through one room, for minutes).
+            "orbit" (around objects on a table), "still" (one room from one place), "long"
+            (freely through one room, for minutes), "corridor" (along white panels with identical
+            doors to a hall, and back), "corridor-turns" (the camera also turns to the sides),
+            "corridor-stop" (it stands still for 20 frames) or "wall" (along a wall of an empty
+            room).
         seed: random seed of furniture, textures, camera sway and noise, >= 0.
         frames: number of frames, distributed over the path; None for walking pace (300 for the
             default room, about 2000 for the others).
@@ -58,7 +61,8 @@ class RoomSettings:
         sensor: simulated effects of a real camera, or None for ideal images.
         unseen: number of test views off the path, which are always ideal and without a walker.
         walker: whether a person walks through the view for a part of the sequence.
-        texture: "normal", or "weak": all surfaces are nearly uniform.
+        texture: "normal"; "weak": all surfaces are nearly uniform; "wallpaper" or "stripes": that
+            of all walls, which repeats every 12.5 cm.
         fov_deg: horizontal field of view in degrees, from 10 to 120; None for that of common
             RGB-D cameras, 64.
         classes: number of classes of a room whose walls are covered with shelves of small objects,
@@ -258,7 +262,8 @@ def _poses(layout: Layout, settings: RoomSettings) -> NDArray[np.float64]:
     frames = settings.frames
     if frames is None and settings.layout == "room":
         frames = max(2, round(settings.share * _ROOM_FRAMES))
-    return hand_held_path(layout.way_points, frames, settings.share, settings.stream(_SWAY))
+    sway = settings.stream(_SWAY)
+    return hand_held_path(layout.way_points, frames, settings.share, sway, layout.gait)
 
 
 def _views(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -63,6 +64,9 @@ class RoomPlan:
         openings: doors and windows.
         style: style of the furniture, a key of `furnishing.STYLES`.
         height_m: height of the ceiling.
+        wall, floor, ceiling: textures in place of the usual ones. With one for the walls, skirting
+            boards are plain.
+        lamps: number of ceiling lamps along x; by default, one every five metres.
     """
 
     centre_m: tuple[float, float]
@@ -70,6 +74,10 @@ class RoomPlan:
     openings: tuple[Opening, ...]
     style: str
     height_m: float = 2.6
+    wall: tx.Texture | None = None
+    floor: tx.Texture | None = None
+    ceiling: tx.Texture | None = None
+    lamps: int | None = None
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
@@ -106,22 +114,26 @@ class RoomPlan:
 
 
 def room_shell(plan: RoomPlan, shop: Workshop) -> list[Part]:
-    """Create floor, ceiling, walls, doors and windows of a room."""
+    """Create floor, ceiling, walls, doors and windows of a room; its closed doors are identical."""
     width, depth = plan.size_m
     x0, y0, _, y1 = plan.bounds_m
     floor = plate((x0, y1, 0.0), (width, 0, 0), (0, -depth, 0))
     ceiling = plate((x0, y0, plan.height_m), (width, 0, 0), (0, depth, 0))
     papers = _wall_papers(shop)
     parts = [
-        shop.part("floor", [floor], _floor_texture(shop), finish=Finish.LACQUER),
-        shop.part("ceiling", [ceiling], tx.panels((0.8, 0.8, 0.78))),
+        shop.part("floor", [floor], plan.floor or _floor_texture(shop), finish=Finish.LACQUER),
+        shop.part("ceiling", [ceiling], plan.ceiling or tx.panels((0.8, 0.8, 0.78))),
     ]
     for side, paper in zip(SIDES, papers, strict=True):
         parts += _wall(plan, side, paper, shop)
+    door: list[Part] = []
     for opening in plan.openings:
-        fittings = {"passage": _passage, "door": _closed_door, "window": _window}[opening.kind]
-        T = plan.on_wall(opening.side, opening.centre_m)
-        parts += moved(fittings(shop), T)
+        if opening.kind == "door":
+            door = door or _closed_door(shop)
+            fittings = deepcopy(door)  # with equal random streams
+        else:
+            fittings = _passage(shop) if opening.kind == "passage" else _window(shop)
+        parts += moved(fittings, plan.on_wall(opening.side, opening.centre_m))
     return parts
 
 
@@ -162,9 +174,9 @@ def _wall(plan: RoomPlan, side: Side, paper: tx.Texture, shop: Workshop) -> list
         if end - start > 0.05:
             middle = (start + end) / 2
             skirting += box((end - start, 0.015, 0.08), (middle, -0.0075, 0.0))
-    return moved(
-        [shop.part("wall", [flat], paper), shop.part("wall", skirting, tx.wood(PALE, 0.06))], T
-    )
+    board = tx.wood(PALE, 0.0 if plan.wall else 0.06)
+    parts = [shop.part("wall", [flat], plan.wall or paper), shop.part("wall", skirting, board)]
+    return moved(parts, T)
 
 
 def _frame(width: float, low: float, high: float, depth: float) -> list[TexturedPatch]:

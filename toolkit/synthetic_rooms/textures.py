@@ -156,15 +156,43 @@ def carpet(colour: Colour, second: Colour | None = None) -> Texture:
     return paint
 
 
-def stripes(first: Colour, second: Colour, period_m: float = 0.12) -> Texture:
-    """Vertical stripes, as on wallpaper and curtains."""
+def cladding(
+    colour: Colour,
+    joint: Colour,
+    size_m: tuple[float, float],
+    joint_m: float,
+    blank_m: tuple[float, float] = (0.0, 0.0),
+) -> Texture:
+    """Uniform panels with thin joints, half a panel at each edge of the chart.
+
+    Args:
+        colour, joint: of the panels and of the joints between them.
+        size_m: width and height of a panel.
+        joint_m: width of a joint.
+        blank_m: stretch of the chart from left to right, between two joints, that has none.
+    """
+
+    def paint(canvas: Canvas) -> Image:
+        u, v = canvas.coordinates()
+        left, right = blank_m
+        joints = np.maximum(
+            canvas.lines(u, size_m[0], joint_m), canvas.lines(v, size_m[1], joint_m)
+        )
+        blank = (u > left + joint_m) & (u < right - joint_m)
+        return mix(canvas.flat(colour), joint, np.where(blank, 0.0, joints))
+
+    return paint
+
+
+def stripes(first: Colour, second: Colour, period_m: float = 0.12, grain: float = 0.03) -> Texture:
+    """Vertical stripes, as on wallpaper and curtains; without grain, they repeat exactly."""
 
     def paint(canvas: Canvas) -> Image:
         u, _ = canvas.coordinates()
         image = mix(canvas.flat(first), second, canvas.pulse(u, period_m, period_m / 2))
         thin = canvas.pulse(u - period_m / 2, period_m, period_m / 10)
         image = mix(image, second, 0.7 * thin)
-        return image * (1.0 + 0.03 * canvas.noise(0.06, 3))[..., None]
+        return image * (1.0 + grain * canvas.noise(0.06, 3))[..., None]
 
     return paint
 
@@ -204,9 +232,12 @@ def panels(colour: Colour, size_m: float = 0.6) -> Texture:
     return paint
 
 
-def damask(ground: Colour, figure: Colour) -> Texture:
-    """Wallpaper with a staggered ornament of rings and dots."""
-    period_m = 0.24
+def damask(ground: Colour, figure: Colour, period_m: float = 0.24, grain: float = 0.03) -> Texture:
+    """Wallpaper with a staggered ornament of rings and dots; without grain, it repeats exactly.
+
+    Rows are `period_m` apart, so it repeats after two of them, and sideways after one.
+    """
+    scale = period_m / 0.24
 
     def paint(canvas: Canvas) -> Image:
         u, v = canvas.coordinates()
@@ -214,11 +245,12 @@ def damask(ground: Colour, figure: Colour) -> Texture:
         x = (u / period_m + 0.5 * (row % 2)) % 1.0 - 0.5
         y = (v / period_m) % 1.0 - 0.5
         radius, angle = np.hypot(x, y) * period_m, np.arctan2(y, x)
-        petals = 0.065 + 0.022 * np.cos(6 * angle)
+        petals = scale * (0.065 + 0.022 * np.cos(6 * angle))
         ornament = np.maximum(
-            canvas.inside(0.009 - np.abs(radius - petals)), canvas.inside(0.022 - radius)
+            canvas.inside(scale * 0.009 - np.abs(radius - petals)),
+            canvas.inside(scale * 0.022 - radius),
         )
         image = mix(canvas.flat(ground), figure, ornament)
-        return image * (1.0 + 0.03 * canvas.noise(0.05, 3))[..., None]
+        return image * (1.0 + grain * canvas.noise(0.05, 3))[..., None]
 
     return paint

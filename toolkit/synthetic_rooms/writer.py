@@ -114,7 +114,9 @@ def write_sequence(
 
 
 def _stored(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
-    return np.clip(np.round(depth_m * DEPTH_SCALE), 0, 65535).astype(np.uint16)
+    """Depth for a file, 0 where it is missing or beyond the largest value, 10 m."""
+    values = np.round(depth_m * DEPTH_SCALE)
+    return np.where(values > 65535, 0, values).astype(np.uint16)
 
 
 def write_mesh(path: Path, scene: Scene) -> None:

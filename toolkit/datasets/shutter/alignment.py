@@ -130,6 +130,8 @@ def _linearised(
 ) -> tuple[Array, Array] | None:
     """Normal equations [10, 10] and [10]; None without enough corresponding pixels."""
     a, b = first.levels[level], second.levels[level]
+    if len(a.samples) < _MIN_PIXELS:
+        return None
     colour = _Seen.of(a, b, first.velocity, second.velocity, pose, replace(times, delay_s=0.0))
     depth = colour
     if times.delay_s:
