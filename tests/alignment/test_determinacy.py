@@ -18,9 +18,10 @@ SCALES = ResidualScales(0.01, 0.01)
 
 
 def wall(seed: int, pattern: NDArray[np.float64] | float = 0.0) -> FrameLevel:
-    """A wall at 1 m with a pattern, and 1 % of noise in colour and depth."""
+    """A wall at 1 m with a pattern, and 1 % of noise in its colour, 0.2 % in its depth."""
     rng = np.random.default_rng(seed)
-    noise = 0.01 * rng.standard_normal((2, CAMERA.height, CAMERA.width))
+    noise = rng.standard_normal((2, CAMERA.height, CAMERA.width))
+    noise *= np.array([0.01, 0.002])[:, None, None]
     intensity = torch.from_numpy((0.5 + pattern + noise[0]).astype(np.float32))
     return FrameLevel(CAMERA, intensity, torch.from_numpy((1.0 + noise[1]).astype(np.float32)))
 

@@ -12,7 +12,6 @@ from toolkit.alignment.similarity import Similarity
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.tracking.dense import DenseTracker
 from toolkit.tracking.evidence import doubt_reason, is_clear, quality
-from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.result import Health
 
 RIGHT = Similarity(0.95, 0.85, 60, 0.8, 0.95)
@@ -44,11 +43,11 @@ def test_without_texture_depth_decides_and_nothing_is_clear():
 
 
 def test_a_true_pose_has_the_better_evidence(room: Room, gaussians: GaussianCloud):
-    tracker = DenseTracker(DenseOptions())
+    tracker = DenseTracker()
     tracker.first_pose(room.frames[0])
     true = room.T_map_camera[2]
     here, beside = (
-        tracker.locate(room.frames[2], gaussians, T)
+        tracker.locate(room.frames[2], gaussians, T, search=False)
         for T in (true, true @ small_motion(3, metres=0.5, degrees=50.0))
     )
     assert quality(here.similarity) > quality(beside.similarity) + 0.2

@@ -10,7 +10,6 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.proposals import FeatureProposals
 from toolkit.tracking.rotation_search import wide_camera
 
@@ -56,12 +55,12 @@ def test_turns_beyond_the_reach_of_alignment_are_found(room: Room, gaussians: Ga
     true = room.T_map_camera[1]
     start = true @ se3.exp(np.radians([0.0, 0.0, 0.0, 0.0, 35.0, 0.0]))
     found = {}
-    for mode in ("velocity", "auto"):
-        tracker = DenseTracker(DenseOptions(start=mode))
+    for search in (False, True):
+        tracker = DenseTracker()
         tracker.first_pose(room.frames[0])
-        found[mode] = tracker.locate(room.frames[1], gaussians, start).T_map_camera
-    assert distance_mm(found["velocity"], true) > 50.0
-    assert_same_place(found["auto"], true, mm=3.0, deg=0.15)
+        found[search] = tracker.locate(room.frames[1], gaussians, start, search=search).T_map_camera
+    assert distance_mm(found[False], true) > 50.0
+    assert_same_place(found[True], true, mm=3.0, deg=0.15)
 
 
 def test_a_clear_frame_needs_no_search(room: Room, gaussians: GaussianCloud):

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from toolkit.features.keypoints import detect_keypoints, match_keypoints
 
@@ -203,7 +202,8 @@ def _guess_by_keypoints(
         return None
     good = inlier.ravel() > 0
     motion = (other_px - px)[good]
-    _, near = cKDTree(px[good]).query(before, _NEIGHBOURS)
+    distances = ((before[:, None] - px[good]) ** 2).sum(axis=-1)
+    near = np.argsort(distances, axis=1, kind="stable")[:, :_NEIGHBOURS]
     return before + np.median(motion[near], axis=1).astype(np.float32)
 
 

@@ -32,8 +32,9 @@ _MIN_EXPLAINED = 0.9
 # Maximum motion between its predicted and its found pose there, as translation over median depth
 # plus radians.
 _MAX_MOTION = 0.05
-# Larger motions between views, in the same unit, are not considered.
-_SIMILAR = 1.0
+# Larger motions between views, in the same unit, are not considered, and smaller differences of
+# them are errors of the poses.
+_SIMILAR, _SAME_VIEW = 1.0, 0.002
 # A view that the active submap no longer shows is continued in another one if that explains and
 # has measured at least this fraction of it.
 _MIN_PARTLY = 0.5
@@ -184,9 +185,10 @@ class SubmapChanges:
         if self._mapper.options.keyframes.revisit == 0.0:
             return None
         for number, nearest, T_submap_camera in self._others(frame, T_map_camera):
-            submap = self._read(number, frame) if nearest < least else None
+            # The boundary keyframe of two submaps is in both: the newer one is nearer in time.
+            submap = self._read(number, frame) if nearest < least + _SAME_VIEW else None
             if submap is not None and self._shows(submap.keyframes, frame, T_submap_camera):
-                found, least = _Candidate(number, T_submap_camera), nearest
+                found, least = _Candidate(number, T_submap_camera), min(nearest, least)
         return found
 
     def _leaves(self, frame: Frame, T_map_camera: NDArray[np.float64], full: bool) -> bool:

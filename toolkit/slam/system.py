@@ -349,8 +349,9 @@ class Slam:
     ) -> bool:
         """Whether the active submap should have a frame as a keyframe."""
         keyframes, visited = self.atlas.keyframes, self.atlas.visited
-        if shows_much_unmapped(tracking) and has_depth(frame):
-            return not keyframes or keyframes[-1].index < frame.index
+        unmapped = shows_much_unmapped(tracking) and has_depth(frame)
+        if keyframes and unmapped and keyframes[-1].index < frame.index:
+            return not self._changes.shows_surface(keyframes, frame, T_map_camera)
         if not self.mapper.wants(keyframes, frame, T_map_camera, visited):
             return False
         return not self._changes.shows_surface(keyframes, frame, T_map_camera)

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from toolkit.alignment.determinacy import UNITS
 from toolkit.geometry import se3
@@ -28,9 +28,9 @@ Mask = NDArray[np.bool_]
 # of the measured one.
 SIGMA_PX, _MIN_SIGMA_PX, _MAX_SIGMA_PX = 0.4, 0.25, 1.0
 # Standard deviations by which a pose is found: predictions may be wrong by some pixels.
-_SIGMAS_PX = (10.0 * SIGMA_PX, 3.0 * SIGMA_PX, SIGMA_PX)
-_ITERATIONS = 4
-_MAX_STEP, _SMALL_STEP = 0.3, 1e-5
+_SIGMAS_PX = (10.0 * SIGMA_PX, 2.0 * SIGMA_PX, SIGMA_PX)
+_ITERATIONS = 3
+_MAX_STEP, _SMALL_STEP = 0.3, 5e-5
 # Directions that features hardly determine stay where they are.
 _DAMPING = np.diag(1.0 / UNITS**2)
 # A feature that misses its place by more follows something else.
@@ -118,27 +118,38 @@ class Observations:
         T, H = T_map_camera, np.zeros((6, 6))
         for sigma in sigmas_px:
             for _ in range(_ITERATIONS):
-                local, weighted, squares = self._residuals(T)
+                local, whitened, squares = self._residuals(T)
                 robust = (STUDENT_T_DOF + 2) / (STUDENT_T_DOF * sigma**2 + squares)
-                J = _jacobians(self.camera, local)
-                WJ = np.einsum("nij,njk->nik", self.weights, J) * robust[:, None, None]
-                H = np.tensordot(J, WJ, axes=([0, 1], [0, 1]))
-                g = np.einsum("nik,ni,n->k", J, weighted, robust)
+                J = self._whitened(*_jacobians(self.camera, local)).reshape(-1, 6)
+                weighted = J * np.concatenate([robust, robust])[:, None]
+                H, g = J.T @ weighted, whitened.reshape(-1) @ weighted
                 step = -np.linalg.solve(H + _DAMPING, g)
                 size = float(np.linalg.norm(step))
-                T = se3.orthonormalise(T @ se3.exp(step * min(1.0, _MAX_STEP / max(size, 1e-9))))
+                T = T @ se3.exp(step * min(1.0, _MAX_STEP / max(size, 1e-9)))
                 if size < _SMALL_STEP:
                     break
+        T = se3.orthonormalise(T)
         return _Motion(T, self._errors(T), H)
 
     def _residuals(self, T_map_camera: Array) -> tuple[Array, Array, Array]:
-        """Points [N, 3] in the camera, weighted residuals [N, 2] and their squares [N]."""
+        """Points [N, 3] in the camera, whitened residuals [2, N] and their squares [N]."""
         local = (self.points - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
         ahead = local[:, 2] > NEAR_M
         local = np.where(ahead[:, None], local, [0.0, 0.0, 1.0])
-        residuals = self.camera.project(local) - self.px
-        weighted = np.einsum("nij,nj->ni", self.weights, residuals)
-        return local, weighted, np.where(ahead, (residuals * weighted).sum(axis=1), np.inf)
+        whitened = self._whitened(*(self.camera.project(local) - self.px).T)
+        return local, whitened, np.where(ahead, (whitened**2).sum(axis=0), np.inf)
+
+    @cached_property
+    def _roots(self) -> tuple[Array, Array, Array]:
+        """Elements [N] of the lower triangles whose products with their transposes are weights."""
+        xx, xy, yy = self.weights[:, 0, 0], self.weights[:, 0, 1], self.weights[:, 1, 1]
+        first = np.sqrt(np.maximum(xx, 1e-12))
+        return first, xy / first, np.sqrt(np.maximum(yy - (xy / first) ** 2, 0.0))
+
+    def _whitened(self, across: Array, down: Array) -> Array:
+        """Horizontal and vertical values [N, ...], times the roots of the weights [2, N, ...]."""
+        xx, xy, yy = (root.reshape(-1, *[1] * (across.ndim - 1)) for root in self._roots)
+        return np.stack([xx * across + xy * down, yy * down])
 
     def _errors(self, T_map_camera: Array) -> Array:
         return np.asarray(np.sqrt(self._residuals(T_map_camera)[2]))
@@ -211,20 +222,21 @@ def projected(camera: Camera, points: Array, T_map_camera: Array) -> Array:
     return camera.project(local)
 
 
-def _jacobians(camera: Camera, local: Array) -> Array:
-    """Derivatives [N, 2, 6] of the pixels of points [N, 3] by x in T_map_camera exp(x)."""
+def _jacobians(camera: Camera, local: Array) -> tuple[Array, Array]:
+    """Derivatives [N, 6] of columns and rows of points [N, 3] by x in T_map_camera exp(x)."""
     inverse = 1.0 / local[:, 2]
     x, y, zero = local[:, 0] * inverse, local[:, 1] * inverse, np.zeros(len(local))
     across = np.stack([-inverse, zero, x * inverse, x * y, -1.0 - x * x, y], axis=1)
     down = np.stack([zero, -inverse, y * inverse, 1.0 + y * y, -x * y, -x], axis=1)
-    return np.stack([camera.fx * across, camera.fy * down], axis=1)
+    return camera.fx * across, camera.fy * down
 
 
 def _coherence(px: Array, residuals: Array) -> float:
     """Correlation of the residuals [N, 2] of neighbouring features; that of noise is 0."""
-    _, near = cKDTree(px).query(px, 2)
+    distances = ((px[:, None] - px) ** 2).sum(axis=-1)
+    np.fill_diagonal(distances, np.inf)
     squares = float((residuals**2).sum())
-    return float((residuals * residuals[near[:, 1]]).sum()) / max(squares, 1e-12)
+    return float((residuals * residuals[distances.argmin(axis=1)]).sum()) / max(squares, 1e-12)
 
 
 def _limited(residuals: Array) -> Array:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 # Features per image, and fraction of them below which new ones are found.
-_COUNT, _MIN_KEPT = 200, 0.8
+_COUNT, _MIN_KEPT = 200, 0.6
 # Eigenvalue of the structure tensor at which a direction has half the weight of a sharp corner, and
 # the block that it is computed from in pixels.
 _EDGE, _BLOCK = 0.005, 9
