@@ -350,9 +350,8 @@ class Slam:
         """Whether the active submap should have a frame as a keyframe."""
         keyframes, visited = self.atlas.keyframes, self.atlas.visited
         unmapped = shows_much_unmapped(tracking) and has_depth(frame)
-        if keyframes and unmapped and keyframes[-1].index < frame.index:
-            return not self._changes.shows_surface(keyframes, frame, T_map_camera)
-        if not self.mapper.wants(keyframes, frame, T_map_camera, visited):
+        unmapped = unmapped and bool(keyframes) and keyframes[-1].index < frame.index
+        if not (unmapped or self.mapper.wants(keyframes, frame, T_map_camera, visited)):
             return False
         return not self._changes.shows_surface(keyframes, frame, T_map_camera)
 
