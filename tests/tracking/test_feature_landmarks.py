@@ -53,6 +53,16 @@ def test_landmarks_move_with_the_frame_of_the_map(room: Room, levels: list[Frame
     assert_same_place(located(landmarks, levels[1], true).T_map_camera, true, mm=8.0, deg=0.3)
 
 
+def test_landmarks_of_a_placed_keyframe_keep_their_place(room: Room, levels: list[FrameLevel]):
+    """Only what was found since the last correction was at wrong poses."""
+    wrong = small_motion(3, metres=0.1, degrees=5.0)
+    landmarks = Landmarks(levels[0], wrong @ room.T_map_camera[0])
+    landmarks.correct(se3.inverse(wrong))
+    landmarks.correct(wrong)
+    true = room.T_map_camera[1]
+    assert_same_place(located(landmarks, levels[1], true).T_map_camera, true, mm=8.0, deg=0.3)
+
+
 def test_restored_landmarks_continue_identically(room: Room, levels: list[FrameLevel]):
     first = Landmarks(levels[0], room.T_map_camera[0])
     first.extend(levels[1], located(first, levels[1], room.T_map_camera[0]).T_map_camera)

@@ -34,6 +34,22 @@ def test_one_pose_stays_where_it_is():
     assert np.array_equal(motion.predict(9.0), pose)
 
 
+def test_poses_are_corrected_once():
+    first, second, wrong = (se3.exp(np.full(6, x)) for x in (0.1, 0.2, 0.3))
+    motion = ConstantVelocity()
+    motion.update(0.0, wrong @ first)
+    motion.correct(se3.inverse(wrong))
+    motion.update(1.0, wrong @ second)
+    motion.correct(se3.inverse(wrong))
+    expected = second @ se3.inverse(first) @ second
+    np.testing.assert_allclose(motion.predict(2.0), expected, atol=1e-12)
+    restored = ConstantVelocity.from_state(motion.state())
+    motion.correct(wrong)
+    restored.correct(wrong)
+    np.testing.assert_allclose(restored.predict(2.0), expected, atol=1e-12)
+    np.testing.assert_allclose(motion.predict(2.0), expected, atol=1e-12)
+
+
 @given(start=tangents, step=tangents)
 def test_a_steady_screw_motion_is_predicted_exactly(start, step):
     motion = moving(start, step)

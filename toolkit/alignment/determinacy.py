@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from toolkit.alignment.backend import linearise
@@ -52,7 +53,8 @@ def determinacy(problem: LevelProblem) -> Determinacy:
     Args:
         problem: at its aligned pose.
     """
-    here, H = linearise(problem), linearise(_without_noise(problem)).H[:6, :6]
+    here = linearise(_without_noise(problem))
+    H = here.H[:6, :6]
     if not np.isfinite(here.cost) or not np.isfinite(H).all():
         return Determinacy(np.diag(UNITS), np.zeros(6))
     strengths, axes = np.linalg.eigh(H * np.outer(UNITS, UNITS))
@@ -71,9 +73,8 @@ def _without_noise(problem: LevelProblem) -> LevelProblem:
     That of the pixels along stripes seems to determine the motion along them, so that the
     directions of the normal equations are not those that the cost knows least about.
     """
-    texture = problem.model.texture.clone()
-    size = texture[..., 1:3].abs() - problem.scales.intensity
-    texture[..., 1:3] = texture[..., 1:3].sign() * size.clamp(min=0.0)
+    texture = torch.nn.functional.softshrink(problem.model.texture, problem.scales.intensity)
+    texture[..., ::3] = problem.model.texture[..., ::3]
     return replace(problem, model=replace(problem.model, texture=texture))
 
 

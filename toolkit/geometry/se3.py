@@ -24,13 +24,7 @@ def hat(vector: Array) -> Array:
 
 def exp_so3(rotation_rad: Array) -> Array:
     """Return the rotation matrix [3, 3] of a rotation vector [3] in radians (Rodrigues)."""
-    angle = float(np.linalg.norm(rotation_rad))
-    K = hat(rotation_rad)
-    if angle < _SMALL_ANGLE_RAD:
-        a, b = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0
-    else:
-        a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2
-    return np.eye(3) + a * K + b * (K @ K)
+    return _exp_and_left_jacobian(rotation_rad)[0]
 
 
 def log_so3(R: Array) -> Array:
@@ -46,15 +40,18 @@ def log_so3(R: Array) -> Array:
     return vector * (2.0 * np.arctan2(sine, w) / sine)
 
 
-def _left_jacobian_so3(rotation_rad: Array) -> Array:
-    angle = float(np.linalg.norm(rotation_rad))
+def _exp_and_left_jacobian(rotation_rad: Array) -> tuple[Array, Array]:
+    """The exponential of a rotation vector [3] and its left Jacobian, [3, 3] each."""
+    angle = float(np.sqrt(rotation_rad @ rotation_rad))
     K = hat(rotation_rad)
     if angle < _SMALL_ANGLE_RAD:
-        b, c = 0.5 - angle**2 / 24.0, 1.0 / 6.0 - angle**2 / 120.0
+        square = angle**2
+        a, b, c = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
     else:
-        b = (1.0 - np.cos(angle)) / angle**2
+        a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2
         c = (angle - np.sin(angle)) / angle**3
-    return np.eye(3) + b * K + c * (K @ K)
+    identity, KK = np.eye(3), K @ K
+    return identity + a * K + b * KK, identity + b * K + c * KK
 
 
 def from_rotation_translation(R: Array, t: Array) -> Array:
@@ -69,13 +66,14 @@ def exp(tangent: Array) -> Array:
     """Return the rigid motion [4, 4] of a tangent vector [6] (translation m, rotation rad)."""
     tangent = np.asarray(tangent, dtype=np.float64)
     rho, phi = tangent[:3], tangent[3:]
-    return from_rotation_translation(exp_so3(phi), _left_jacobian_so3(phi) @ rho)
+    R, left_jacobian = _exp_and_left_jacobian(phi)
+    return from_rotation_translation(R, left_jacobian @ rho)
 
 
 def log(T: Array) -> Array:
     """Return the tangent vector [6] (translation m, rotation rad) of a rigid motion [4, 4]."""
     phi = log_so3(T[:3, :3])
-    rho = np.linalg.solve(_left_jacobian_so3(phi), T[:3, 3])
+    rho = np.linalg.solve(_exp_and_left_jacobian(phi)[1], T[:3, 3])
     return np.concatenate([rho, phi])
 
 

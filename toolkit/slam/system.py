@@ -366,7 +366,7 @@ class Slam:
         keyframe = Keyframe.from_frame(frame, T_map_camera, exposure)
         if self._preparation.correction is not None:
             keyframe.prior_m = keyframe.depth_m
-        self._refine_pose(keyframe)
+        self._refine_pose(keyframe, tracking)
         if self.atlas.keyframes:
             self._between.select(keyframe)
         with self._recorder.timed(Stage.MAPPING):
@@ -376,14 +376,16 @@ class Slam:
         self._closer.keyframe_added(self.atlas)
         return mapping
 
-    def _refine_pose(self, keyframe: Keyframe) -> None:
+    def _refine_pose(self, keyframe: Keyframe, tracking: TrackingResult | None) -> None:
         """Refine the pose of a new keyframe; the tracker continues from the refined pose."""
         if self._placement is None or not self.atlas.keyframes:
             return
         T_tracked = keyframe.T_map_camera
         with self._recorder.timed(Stage.PLACING):
-            keyframe.T_map_camera = self._placement.place(self.atlas.keyframes, keyframe)
-        self.tracker.change_frame(keyframe.T_map_camera @ se3.inverse(T_tracked))
+            keyframe.T_map_camera = self._placement.place(
+                self.atlas.keyframes, keyframe, None if tracking is None else tracking.T_by_features
+            )
+        self.tracker.correct(keyframe.T_map_camera @ se3.inverse(T_tracked))
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues to identical results."""

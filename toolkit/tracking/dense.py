@@ -122,6 +122,11 @@ class DenseTracker(MovingTracker):
         super().change_frame(T_new_old)
         self._landmarks.change_frame(T_new_old)
 
+    def correct(self, T_new_old: NDArray[np.float64]) -> None:
+        """Correct the poses since the last correction, which were wrong by a motion [4, 4]."""
+        super().correct(T_new_old)
+        self._landmarks.correct(T_new_old)
+
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
         """Continue from a pose [4, 4], without a velocity."""
         super().continue_from(timestamp_s, T_map_camera)
@@ -338,6 +343,7 @@ class DenseTracker(MovingTracker):
             exposure=self._estimated_exposure(task, view, alignment),
             similarity=judgement.similarity,
             determined=judgement.pose.information,
+            T_by_features=None if task.features is None else task.features.T_map_camera,
         )
 
 

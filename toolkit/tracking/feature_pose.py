@@ -27,10 +27,10 @@ Mask = NDArray[np.bool_]
 # Standard deviation of the place of a sharp corner in pixels before it is measured, and the bounds
 # of the measured one.
 SIGMA_PX, _MIN_SIGMA_PX, _MAX_SIGMA_PX = 0.4, 0.25, 1.0
-# Standard deviations by which a pose is found: predictions may be wrong by some pixels.
-_SIGMAS_PX = (10.0 * SIGMA_PX, 2.0 * SIGMA_PX, SIGMA_PX)
+# Standard deviations by which a pose is found if predictions are wrong by more pixels than that.
+_SIGMAS_PX = (10.0 * SIGMA_PX, 2.0 * SIGMA_PX)
 _ITERATIONS = 3
-_MAX_STEP, _SMALL_STEP = 0.3, 5e-5
+_MAX_STEP, _SMALL_STEP = 0.3, 2e-4
 # Directions that features hardly determine stay where they are.
 _DAMPING = np.diag(1.0 / UNITS**2)
 # A feature that misses its place by more follows something else.
@@ -101,7 +101,8 @@ class Observations:
         """
         if len(self.px) < MIN_FITTING:
             return None
-        one = self._motion(starts[0], _SIGMAS_PX)
+        usual = float(np.quantile(self._errors(starts[0]), 0.9))
+        one = self._motion(starts[0], [sigma for sigma in _SIGMAS_PX if sigma < usual] + [SIGMA_PX])
         found, motions = self._standing_or_moving(one, starts[-1])
         motions = motions or self._two_motions(one)
         fits = found.errors < _OUTLIER_PX
@@ -117,27 +118,44 @@ class Observations:
         """The pose that minimises the errors under Student's t distribution, by its scales."""
         T, H = T_map_camera, np.zeros((6, 6))
         for sigma in sigmas_px:
+            # Derivatives hardly change with the pose. At a scale, they are those of its start.
+            J = self._derivatives(T)
             for _ in range(_ITERATIONS):
-                local, whitened, squares = self._residuals(T)
+                whitened, squares = self._residuals(T)
                 robust = (STUDENT_T_DOF + 2) / (STUDENT_T_DOF * sigma**2 + squares)
-                J = self._whitened(*_jacobians(self.camera, local)).reshape(-1, 6)
                 weighted = J * np.concatenate([robust, robust])[:, None]
                 H, g = J.T @ weighted, whitened.reshape(-1) @ weighted
                 step = -np.linalg.solve(H + _DAMPING, g)
                 size = float(np.linalg.norm(step))
                 T = T @ se3.exp(step * min(1.0, _MAX_STEP / max(size, 1e-9)))
-                if size < _SMALL_STEP:
+                if size < _SMALL_STEP * sigma / SIGMA_PX:
                     break
         T = se3.orthonormalise(T)
         return _Motion(T, self._errors(T), H)
 
-    def _residuals(self, T_map_camera: Array) -> tuple[Array, Array, Array]:
-        """Points [N, 3] in the camera, whitened residuals [2, N] and their squares [N]."""
-        local = (self.points - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
-        ahead = local[:, 2] > NEAR_M
-        local = np.where(ahead[:, None], local, [0.0, 0.0, 1.0])
-        whitened = self._whitened(*(self.camera.project(local) - self.px).T)
-        return local, whitened, np.where(ahead, (whitened**2).sum(axis=0), np.inf)
+    def _residuals(self, T_map_camera: Array) -> tuple[Array, Array]:
+        """Whitened residuals [2, N] and their squares [N]; those behind the camera are infinite."""
+        x, y, z = self._local(T_map_camera)
+        ahead, camera = z > NEAR_M, self.camera
+        z = np.where(ahead, z, 1.0)
+        across = camera.fx * (x / z) + (camera.cx - self.px[:, 0])
+        down = camera.fy * (y / z) + (camera.cy - self.px[:, 1])
+        whitened = self._whitened(across, down)
+        return whitened, np.where(ahead, (whitened**2).sum(axis=0), np.inf)
+
+    def _derivatives(self, T_map_camera: Array) -> Array:
+        """Derivatives [2 N, 6] of the whitened residuals by x in T_map_camera exp(x)."""
+        local = self._local(T_map_camera)
+        inverse = 1.0 / np.maximum(local[2], NEAR_M)
+        x, y, zero = local[0] * inverse, local[1] * inverse, np.zeros(len(inverse))
+        across = np.array([-inverse, zero, x * inverse, x * y, -1.0 - x * x, y])
+        down = np.array([zero, -inverse, y * inverse, 1.0 + y * y, -x * y, -x])
+        J = self._whitened(self.camera.fx * across, self.camera.fy * down)
+        return np.ascontiguousarray(J.transpose(0, 2, 1)).reshape(-1, 6)
+
+    def _local(self, T_map_camera: Array) -> Array:
+        """The points [3, N] in the camera's frame."""
+        return np.asarray(T_map_camera[:3, :3].T @ (self.points - T_map_camera[:3, 3]).T)
 
     @cached_property
     def _roots(self) -> tuple[Array, Array, Array]:
@@ -147,12 +165,12 @@ class Observations:
         return first, xy / first, np.sqrt(np.maximum(yy - (xy / first) ** 2, 0.0))
 
     def _whitened(self, across: Array, down: Array) -> Array:
-        """Horizontal and vertical values [N, ...], times the roots of the weights [2, N, ...]."""
-        xx, xy, yy = (root.reshape(-1, *[1] * (across.ndim - 1)) for root in self._roots)
+        """Horizontal and vertical values [..., N], times the roots of the weights [2, ..., N]."""
+        xx, xy, yy = self._roots
         return np.stack([xx * across + xy * down, yy * down])
 
     def _errors(self, T_map_camera: Array) -> Array:
-        return np.asarray(np.sqrt(self._residuals(T_map_camera)[2]))
+        return np.asarray(np.sqrt(self._residuals(T_map_camera)[1]))
 
     def _of(self, mask: Mask) -> Observations:
         """The features of a mask [N]."""
@@ -171,12 +189,14 @@ class Observations:
             moving: the motion that explains all of them.
             T_last: [4, 4] pose of the last frame.
         """
+        still = np.linalg.norm(self.flow, axis=1) < _STILL_PX
+        if not _SECOND <= still.mean() <= 1.0 - _SECOND:
+            return moving, None
         T_shifted = se3.from_rotation_translation(T_last[:3, :3], moving.T_map_camera[:3, 3])
         places = [projected(self.camera, self.points, T) for T in (T_last, T_shifted)]
         parallax = np.linalg.norm(places[1] - places[0], axis=1)
-        still = np.linalg.norm(self.flow, axis=1) < _STILL_PX
         share = float((still & (parallax > _PARALLAX_PX)).mean())
-        if share < _SECOND or 1.0 - float(still.mean()) < _SECOND:
+        if share < _SECOND:
             return moving, None
         if share < 0.5:
             return moving, (1.0 - share, share)
@@ -189,10 +209,10 @@ class Observations:
             one: the motion that explains all of them best.
         """
         usual = float(np.quantile(one.errors, _QUANTILE))
-        local, _, squares = self._residuals(one.T_map_camera)
-        if usual < _NOTICED_PX or not np.isfinite(squares).all():
+        if usual < _NOTICED_PX or not np.isfinite(one.errors).all():
             return None
-        residuals = _limited(self.camera.project(local) - self.px)
+        residuals = projected(self.camera, self.points, one.T_map_camera) - self.px
+        residuals = _limited(residuals)
         if _coherence(self.px, residuals) < _COHERENT:
             return None
         axis = np.linalg.svd(residuals - np.median(residuals, axis=0), full_matrices=False)[2][0]
@@ -222,21 +242,13 @@ def projected(camera: Camera, points: Array, T_map_camera: Array) -> Array:
     return camera.project(local)
 
 
-def _jacobians(camera: Camera, local: Array) -> tuple[Array, Array]:
-    """Derivatives [N, 6] of columns and rows of points [N, 3] by x in T_map_camera exp(x)."""
-    inverse = 1.0 / local[:, 2]
-    x, y, zero = local[:, 0] * inverse, local[:, 1] * inverse, np.zeros(len(local))
-    across = np.stack([-inverse, zero, x * inverse, x * y, -1.0 - x * x, y], axis=1)
-    down = np.stack([zero, -inverse, y * inverse, 1.0 + y * y, -x * y, -x], axis=1)
-    return camera.fx * across, camera.fy * down
-
-
 def _coherence(px: Array, residuals: Array) -> float:
     """Correlation of the residuals [N, 2] of neighbouring features; that of noise is 0."""
-    distances = ((px[:, None] - px) ** 2).sum(axis=-1)
+    squares = (px**2).sum(axis=1)
+    distances = squares[:, None] + squares - 2.0 * (px @ px.T)
     np.fill_diagonal(distances, np.inf)
-    squares = float((residuals**2).sum())
-    return float((residuals * residuals[distances.argmin(axis=1)]).sum()) / max(squares, 1e-12)
+    products = float((residuals * residuals[distances.argmin(axis=1)]).sum())
+    return products / max(float((residuals**2).sum()), 1e-12)
 
 
 def _limited(residuals: Array) -> Array:

@@ -69,6 +69,10 @@ class GivenPoses:
         # with each submap, and poses would be useless after about 50 of them.
         self._T_map_world = se3.orthonormalise(T_new_old @ self._T_map_world)
 
+    def correct(self, T_new_old: NDArray[np.float64]) -> None:
+        """Change the coordinate frame of the map: given poses are relative to each other."""
+        self.change_frame(T_new_old)
+
     def state(self) -> dict[str, NDArray]:
         """Pose of the world in the map; the trajectory is read again when a run is resumed."""
         return {"T_map_world": self._T_map_world}

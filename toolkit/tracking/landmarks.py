@@ -40,6 +40,7 @@ class Landmarks:
         """Start with the features of a frame, if there is one, at its pose [4, 4]."""
         self._tracks = FeatureTracks(_COUNT)
         self._ids = np.zeros(0, np.int64)
+        self._corrected = 0
         self._points, self._weights = np.zeros((0, 3)), np.zeros((0, 2, 2))
         self._before: tuple[Image, Features] | None = None
         if frame is not None and T_map_camera is not None:
@@ -101,10 +102,16 @@ class Landmarks:
         """Change the coordinate frame of the map."""
         self._points = se3.transform_points(T_new_old, self._points)
 
+    def correct(self, T_new_old: Array) -> None:
+        """Move the features found since the last correction, whose poses are wrong by a motion."""
+        moved = self._ids >= self._corrected
+        self._points[moved] = se3.transform_points(T_new_old, self._points[moved])
+        self._corrected = int(self._ids[-1]) + 1 if len(self._ids) else 0
+
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         own = {"landmarks": self._ids, "points": self._points, "weights": self._weights}
-        return self._tracks.state() | own
+        return self._tracks.state() | own | {"corrected": np.array(self._corrected)}
 
     def restore(self, state: Mapping[str, NDArray]) -> None:
         """Restore an earlier `state`."""
@@ -112,12 +119,12 @@ class Landmarks:
         self._ids, self._points, self._weights = (
             np.array(state[name]) for name in ("landmarks", "points", "weights")
         )
+        self._corrected = int(state["corrected"])
 
 
 def _grey(frame: FrameLevel) -> Image:
     """The image [H, W] of a frame in bytes."""
-    intensity = np.nan_to_num(frame.intensity.cpu().numpy())
-    return (255.0 * intensity + 0.5).clip(0, 255).astype(np.uint8)
+    return np.asarray(cv2.convertScaleAbs(frame.intensity.cpu().numpy(), alpha=255.0))
 
 
 def _depths(depth_m: NDArray[np.float32], px: Array) -> Array:

@@ -14,6 +14,7 @@ class ConstantVelocity:
     def __init__(self) -> None:
         self._times: list[float] = []
         self._poses: list[NDArray[np.float64]] = []
+        self._corrected = 0
 
     def predict(self, timestamp_s: float) -> NDArray[np.float64]:
         """Predict T_map_camera [4, 4] at a time; the identity before the first pose."""
@@ -34,21 +35,36 @@ class ConstantVelocity:
     def update(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
         """Add the pose [4, 4] of a tracked frame."""
         self._times = [*self._times, timestamp_s][-2:]
-        self._poses = [*self._poses, T_map_camera.copy()][-2:]
+        self._keep(1)
+        self._poses.append(T_map_camera.copy())
 
     def forget_velocity(self) -> None:
         """Keep the newest pose but not the velocity, as after a lost frame."""
-        self._times, self._poses = self._times[-1:], self._poses[-1:]
+        self._times = self._times[-1:]
+        self._keep(1)
+
+    def _keep(self, count: int) -> None:
+        """Forget all but the newest poses."""
+        forgotten = max(len(self._poses) - count, 0)
+        self._poses = self._poses[forgotten:]
+        self._corrected = max(self._corrected - forgotten, 0)
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:
         """Change the coordinate frame of the map."""
         self._poses = [T_new_old @ T for T in self._poses]
+
+    def correct(self, T_new_old: NDArray[np.float64]) -> None:
+        """Correct the poses since the last correction, which were wrong by a motion [4, 4]."""
+        kept = self._poses[: self._corrected]
+        self._poses = kept + [T_new_old @ T for T in self._poses[self._corrected :]]
+        self._corrected = len(self._poses)
 
     def state(self) -> dict[str, NDArray[np.float64]]:
         """Arrays for `from_state`."""
         return {
             "times": np.array(self._times),
             "poses": np.array(self._poses).reshape(-1, 4, 4),
+            "corrected": np.array(self._corrected),
         }
 
     @classmethod
@@ -57,4 +73,5 @@ class ConstantVelocity:
         model = cls()
         model._times = [float(t) for t in state["times"]]
         model._poses = [np.array(pose) for pose in state["poses"]]
+        model._corrected = int(state["corrected"])
         return model

@@ -40,6 +40,10 @@ class MovingTracker:
         """Change the coordinate frame of the map."""
         self.motion.change_frame(T_new_old)
 
+    def correct(self, T_new_old: NDArray[np.float64]) -> None:
+        """Correct the poses since the last correction, which were wrong by a motion [4, 4]."""
+        self.motion.correct(T_new_old)
+
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         return dict(self.motion.state())

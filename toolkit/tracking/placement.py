@@ -20,9 +20,11 @@ from toolkit.alignment.data import FrameLevel, ModelLevel
 from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
 from toolkit.alignment.matching import correction_too_large
+from toolkit.alignment.similarity import aligned_correlation
 from toolkit.caching import LruCache
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe, evenly_spaced, fractions_observed
+from toolkit.tracking.evidence import is_clear
 from toolkit.tracking.options import PlacementOptions
 from toolkit.tracking.view_dependence import AlignedView, view_dependent, without_gradient
 
@@ -61,37 +63,58 @@ class KeyframePlacement:
         self.options = options or PlacementOptions()
         self._cache: LruCache[_Levels] = LruCache(_CACHED)
 
-    def place(self, keyframes: Sequence[Keyframe], new: Keyframe) -> Array:
+    def place(
+        self, keyframes: Sequence[Keyframe], new: Keyframe, T_by_features: Array | None = None
+    ) -> Array:
         """Refine the pose of a new keyframe.
 
         Args:
             keyframes: keyframes of the same map, in order; their poses do not change.
             new: the new keyframe, at the tracker's pose.
+            T_by_features: T_map_camera [4, 4] by features that were followed from recent keyframes.
 
         Returns:
             T_map_camera [4, 4]; the tracker's pose if the alignment fails or moves it too far.
         """
-        chosen = self._chosen(keyframes, new)
-        if not chosen:
-            return new.T_map_camera
+        older, recent = self._chosen(keyframes, new)
+        attempts = [(older + recent, new.T_map_camera)]
+        # After drift, the map and older keyframes contradict the recent ones. The motion since the
+        # recent ones is what the images show; loop closure distributes the drift.
+        attempts += [(recent, new.T_map_camera)] if older else []
+        attempts += [(recent, T_by_features)] if T_by_features is not None else []
+        for chosen, start in attempts:
+            T_map_camera = self._aligned(chosen, new, start) if chosen else None
+            if T_map_camera is not None:
+                return T_map_camera
+        return new.T_map_camera
+
+    def _aligned(self, chosen: Sequence[Keyframe], new: Keyframe, start: Array) -> Array | None:
+        """The pose relative to some keyframes; None if the alignment fails.
+
+        It does if it moves the keyframe too far, unless the images at its result leave no doubt.
+        """
         frame, models = self._levels(new).frame, self._models(chosen, new)
         pairs = [
             Pair(model, frame, se3.inverse(k.T_map_camera), np.eye(4))
             for k, model in zip(chosen, models, strict=True)
         ]
-        found = align(pairs, Estimate(new.T_map_camera), _DENSE)
-        moved = se3.inverse(new.T_map_camera) @ found.T_target_source
-        if not found.converged or correction_too_large(np.eye(4), moved, new.camera, new):
-            return new.T_map_camera
-        return found.T_target_source
+        found = align(pairs, Estimate(start), _DENSE)
+        moved = se3.inverse(start) @ found.T_target_source
+        if found.converged and not correction_too_large(np.eye(4), moved, new.camera, new):
+            return found.T_target_source
+        T_newest_new = se3.inverse(chosen[-1].T_map_camera) @ found.T_target_source
+        evidence = aligned_correlation(models[-1][0], frame[0], T_newest_new)
+        return found.T_target_source if is_clear(evidence) else None
 
-    def _chosen(self, keyframes: Sequence[Keyframe], new: Keyframe) -> list[Keyframe]:
-        """Earlier keyframes that overlap with the new one, in order."""
+    def _chosen(
+        self, keyframes: Sequence[Keyframe], new: Keyframe
+    ) -> tuple[list[Keyframe], list[Keyframe]]:
+        """Older and recent keyframes that overlap with the new one, in order."""
         points = new.points_in_map()
         first_recent = max(len(keyframes) - _RECENT, 0)
         recent = _observing(keyframes[first_recent:], points, _MIN_RECENT)
         older = _observing(keyframes[:first_recent:_EVERY], points, _MIN_OLDER)
-        return [*evenly_spaced(older, _OLDER), *recent]
+        return evenly_spaced(older, _OLDER), recent
 
     def _models(self, chosen: Sequence[Keyframe], new: Keyframe) -> list[list[ModelLevel]]:
         """Pyramids of earlier keyframes; view-dependent surfaces may lack texture."""

@@ -40,6 +40,7 @@ class TrackingResult:
         similarity: of the frame and the map at the pose; None if it was not measured.
         determined: [6, 6] as `information`, but by the rise of the cost and by the features; None
             if that was not measured.
+        T_by_features: [4, 4] as T_map_camera, by the features alone; None without them.
         ambiguous: whether other motions explain the frame as well, so that it cannot be relocalised
             either.
     """
@@ -57,6 +58,7 @@ class TrackingResult:
     exposure: Exposure = IDENTITY
     similarity: Similarity | None = None
     determined: NDArray[np.float64] | None = field(default=None, repr=False)
+    T_by_features: NDArray[np.float64] | None = field(default=None, repr=False)
     ambiguous: bool = False
 
     @property

@@ -45,6 +45,10 @@ class Tracker(Protocol):
         """Change the coordinate frame of the map: all poses become T_new_old @ T_old_camera."""
         ...
 
+    def correct(self, T_new_old: NDArray[np.float64]) -> None:
+        """Correct the poses since the last correction, which were wrong by a motion [4, 4]."""
+        ...
+
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         ...
