@@ -179,15 +179,15 @@ class DenseTracker(MovingTracker):
                 which its result is combined.
         """
         task = Task(self._prepared.of(frame, gaussians.means.device), gaussians, features)
-        if features is None:
-            view = self._render(task, starts[0])
-            start, levels = self._best_start(task, view, starts), None
-        else:
+        results, start, expected = [], starts[0], starts[0]
+        if features is not None:
             # Features are accurate to a pixel or two, and at coarse levels thin joints are lost.
-            start, levels = features.T_map_camera, _FINE_LEVELS
-            view = self._render(task, start)
-        expected = starts[0] if features is None else start
-        results = [self._align(task, view, start, levels)]
+            start = expected = features.T_map_camera
+            results.append(self._align(task, self._render(task, start), start, _FINE_LEVELS))
+        if features is None or not (results[0].health is Health.GOOD or results[0].ambiguous):
+            view = self._render(task, starts[0])
+            start = self._best_start(task, view, starts)
+            results.append(self._align(task, view, start))
         likely = max(results, key=_rank)
         unclear = has_depth(frame) and not self._is_expected(task, likely, expected)
         # No other start makes an ambiguous view unambiguous.

@@ -42,15 +42,19 @@ def quality(similarity: Similarity | None) -> float:
     return math.sqrt(similarity.covered) * max(correlation, 0.0) * similarity.agreeing
 
 
-def is_clear(similarity: Similarity | None) -> bool:
-    """Whether the evidence for a pose is so good that no other pose needs to be considered."""
+def is_clear(similarity: Similarity | None, min_covered: float = _CLEAR_COVERED) -> bool:
+    """Whether the evidence for a pose is so good that no other pose needs to be considered.
+
+    Args:
+        min_covered: minimum fraction of the frame that the other view shows.
+    """
     return (
         similarity is not None
         and similarity.blocks >= _MIN_BLOCKS
         and similarity.correlation >= _CLEAR_CORRELATION
         and similarity.low_correlation >= _CLEAR_LOW_CORRELATION
         and similarity.agreeing >= _CLEAR_AGREEMENT
-        and similarity.covered >= _CLEAR_COVERED
+        and similarity.covered >= min_covered
     )
 
 

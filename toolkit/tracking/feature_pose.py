@@ -27,8 +27,9 @@ Mask = NDArray[np.bool_]
 # Standard deviation of the place of a sharp corner in pixels before it is measured, and the bounds
 # of the measured one.
 SIGMA_PX, _MIN_SIGMA_PX, _MAX_SIGMA_PX = 0.4, 0.25, 1.0
-# Standard deviations by which a pose is found if predictions are wrong by more pixels than that.
-_SIGMAS_PX = (10.0 * SIGMA_PX, 2.0 * SIGMA_PX)
+# Standard deviations by which a pose is found if the errors of this share of the features at the
+# start exceed them, and limit of the errors.
+_SIGMAS_PX, _MOST, _FAR_PX = (10.0 * SIGMA_PX, 2.0 * SIGMA_PX), 0.9, 1e3
 _ITERATIONS = 3
 _MAX_STEP, _SMALL_STEP = 0.3, 2e-4
 # Directions that features hardly determine stay where they are.
@@ -101,7 +102,7 @@ class Observations:
         """
         if len(self.px) < MIN_FITTING:
             return None
-        usual = float(np.quantile(self._errors(starts[0]), 0.9))
+        usual = float(np.quantile(np.minimum(self._errors(starts[0]), _FAR_PX), _MOST))
         one = self._motion(starts[0], [sigma for sigma in _SIGMAS_PX if sigma < usual] + [SIGMA_PX])
         found, motions = self._standing_or_moving(one, starts[-1])
         motions = motions or self._two_motions(one)

@@ -77,8 +77,11 @@ def judged(
             scales, exposure, gate = alignment.scales, alignment.exposure, max_distance * 2**level
             found = determinacy(LevelProblem(model, frame, T_view_camera, scales, exposure, gate))
             pose = combined(pose.T_map_camera, found.in_frame(T_view_camera), task.features)
-            ambiguity = pose.ambiguity
-            reason = doubt_reason(similarity) or ambiguity
+            reason = doubt_reason(similarity)
+            # What the cost beside a wrong pose determines says nothing about the view.
+            if not reason or pose.motions is not None:
+                ambiguity = pose.ambiguity
+            reason = reason or ambiguity
             health = Health.DOUBTFUL if reason else health
     return Judgement(pose, health, reason, bool(ambiguity), similarity, visible, information)
 

@@ -20,11 +20,11 @@ from toolkit.alignment.data import FrameLevel, ModelLevel
 from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
 from toolkit.alignment.matching import correction_too_large
-from toolkit.alignment.similarity import aligned_correlation
+from toolkit.alignment.similarity import Similarity, aligned_correlation
 from toolkit.caching import LruCache
 from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe, evenly_spaced, fractions_observed
-from toolkit.tracking.evidence import is_clear
+from toolkit.tracking.evidence import is_clear, quality
 from toolkit.tracking.options import PlacementOptions
 from toolkit.tracking.view_dependence import AlignedView, view_dependent, without_gradient
 
@@ -36,6 +36,10 @@ _RECENT, _OLDER = 2, 4
 _EVERY = 4
 # Minimum overlap of the new keyframe with a recent and with an older one.
 _MIN_RECENT, _MIN_OLDER = 0.2, 0.5
+# Quality relative to that of the tracked pose, and distance from it, from which recent keyframes
+# alone decide. Nearer poses are drift of the recent ones as often as errors of the tracked pose.
+_MUCH_BETTER = 1.5
+_JUMP_M, _JUMP_RAD = 0.05, 0.035
 # Tracked poses are accurate to one or two pixels, so few levels suffice. With half of these limits,
 # alignment takes a quarter longer, and trajectories and maps are the same.
 _DENSE = JointOptions(levels=2, small_translation_m=2e-4, small_rotation_rad=1e-4)
@@ -77,34 +81,40 @@ class KeyframePlacement:
             T_map_camera [4, 4]; the tracker's pose if the alignment fails or moves it too far.
         """
         older, recent = self._chosen(keyframes, new)
-        attempts = [(older + recent, new.T_map_camera)]
-        # After drift, the map and older keyframes contradict the recent ones. The motion since the
-        # recent ones is what the images show; loop closure distributes the drift.
-        attempts += [(recent, new.T_map_camera)] if older else []
-        attempts += [(recent, T_by_features)] if T_by_features is not None else []
-        for chosen, start in attempts:
-            T_map_camera = self._aligned(chosen, new, start) if chosen else None
-            if T_map_camera is not None:
-                return T_map_camera
+        if not older and not recent:
+            return new.T_map_camera
+        found = self._aligned(older + recent, new, new.T_map_camera)
+        moved = se3.inverse(new.T_map_camera) @ found.T_target_source
+        if found.converged and not correction_too_large(np.eye(4), moved, new.camera, new):
+            return found.T_target_source
+        if not recent:
+            return new.T_map_camera
+        # After drift, the map and older keyframes contradict the recent ones, and the tracked pose
+        # jumps. The motion since the recent ones is what the images show; loop closure distributes
+        # the drift.
+        enough = _MUCH_BETTER * quality(self._similarity(recent[-1], new, new.T_map_camera))
+        for start in (new.T_map_camera, T_by_features):
+            if start is not None:
+                T_map_camera = self._aligned(recent, new, start).T_target_source
+                similarity = self._similarity(recent[-1], new, T_map_camera)
+                better = is_clear(similarity, _MIN_RECENT) and quality(similarity) > enough
+                if better and _is_jump(se3.inverse(new.T_map_camera) @ T_map_camera):
+                    return T_map_camera
         return new.T_map_camera
 
-    def _aligned(self, chosen: Sequence[Keyframe], new: Keyframe, start: Array) -> Array | None:
-        """The pose relative to some keyframes; None if the alignment fails.
-
-        It does if it moves the keyframe too far, unless the images at its result leave no doubt.
-        """
+    def _aligned(self, chosen: Sequence[Keyframe], new: Keyframe, start: Array) -> Estimate:
+        """The pose relative to some keyframes, from an initial T_map_camera [4, 4]."""
         frame, models = self._levels(new).frame, self._models(chosen, new)
         pairs = [
             Pair(model, frame, se3.inverse(k.T_map_camera), np.eye(4))
             for k, model in zip(chosen, models, strict=True)
         ]
-        found = align(pairs, Estimate(start), _DENSE)
-        moved = se3.inverse(start) @ found.T_target_source
-        if found.converged and not correction_too_large(np.eye(4), moved, new.camera, new):
-            return found.T_target_source
-        T_newest_new = se3.inverse(chosen[-1].T_map_camera) @ found.T_target_source
-        evidence = aligned_correlation(models[-1][0], frame[0], T_newest_new)
-        return found.T_target_source if is_clear(evidence) else None
+        return align(pairs, Estimate(start), _DENSE)
+
+    def _similarity(self, earlier: Keyframe, new: Keyframe, T_map_camera: Array) -> Similarity:
+        """That of the images of two keyframes at a pose [4, 4] of the new one."""
+        model, frame = self._levels(earlier).model[0], self._levels(new).frame[0]
+        return aligned_correlation(model, frame, se3.inverse(earlier.T_map_camera) @ T_map_camera)
 
     def _chosen(
         self, keyframes: Sequence[Keyframe], new: Keyframe
@@ -137,6 +147,11 @@ class KeyframePlacement:
     def _new_levels(self, keyframe: Keyframe) -> _Levels:
         finest = limited_to_width(keyframe_level(keyframe), self.options.max_width)
         return _Levels(pyramid(finest, _DENSE.levels))
+
+
+def _is_jump(T: Array) -> bool:
+    angle = float(se3.rotation_angle_rad(T[:3, :3]))
+    return float(np.linalg.norm(T[:3, 3])) > _JUMP_M or angle > _JUMP_RAD
 
 
 def _observing(
