@@ -34,19 +34,14 @@ class ConstantVelocity:
 
     def update(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
         """Add the pose [4, 4] of a tracked frame."""
-        self._times = [*self._times, timestamp_s][-2:]
-        self._keep(1)
+        self.forget_velocity()
+        self._times.append(timestamp_s)
         self._poses.append(T_map_camera.copy())
 
     def forget_velocity(self) -> None:
         """Keep the newest pose but not the velocity, as after a lost frame."""
-        self._times = self._times[-1:]
-        self._keep(1)
-
-    def _keep(self, count: int) -> None:
-        """Forget all but the newest poses."""
-        forgotten = max(len(self._poses) - count, 0)
-        self._poses = self._poses[forgotten:]
+        forgotten = max(len(self._poses) - 1, 0)
+        self._times, self._poses = self._times[-1:], self._poses[-1:]
         self._corrected = max(self._corrected - forgotten, 0)
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:

@@ -80,7 +80,8 @@ class KeyframePlacement:
             T_by_features: T_map_camera [4, 4] by features that were followed from recent keyframes.
 
         Returns:
-            T_map_camera [4, 4]; the tracker's pose if the alignment fails or moves it too far.
+            T_map_camera [4, 4]; the tracker's pose if the alignment fails or moves it too far
+            without evidence.
         """
         older, recent = self._chosen(keyframes, new)
         if not older and not recent:
@@ -96,12 +97,16 @@ class KeyframePlacement:
         # the drift.
         enough = _MUCH_BETTER * quality(self._similarity(recent[-1], new, new.T_map_camera))
         for start in (new.T_map_camera, T_by_features):
-            if start is not None:
-                T_map_camera = self._aligned(recent, new, start).T_target_source
-                similarity = self._similarity(recent[-1], new, T_map_camera)
-                better = is_clear(similarity, _MIN_RECENT) and quality(similarity) > enough
-                if better and _is_jump(se3.inverse(new.T_map_camera) @ T_map_camera):
-                    return T_map_camera
+            if start is None:
+                continue
+            # Without older ones, the first alignment was to the recent ones alone.
+            if older or start is T_by_features:
+                found = self._aligned(recent, new, start)
+            T_map_camera = found.T_target_source
+            similarity = self._similarity(recent[-1], new, T_map_camera)
+            better = is_clear(similarity, _MIN_RECENT) and quality(similarity) > enough
+            if better and _is_jump(se3.inverse(new.T_map_camera) @ T_map_camera):
+                return T_map_camera
         return new.T_map_camera
 
     def _aligned(self, chosen: Sequence[Keyframe], new: Keyframe, start: Array) -> Estimate:
