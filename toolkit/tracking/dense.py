@@ -1,7 +1,7 @@
 """The default tracker: dense Gauss-Newton alignment to the rendered map.
 
-The map is rendered at the pose of the frame's features or, without them, at the predicted one, at no
-more than the resolution that a pose needs, and the frame is aligned to that view from coarse to
+The map is rendered at the pose of the frame's features or, without them, at the predicted one, at
+no more than the resolution that a pose needs, and the frame is aligned to that view from coarse to
 fine. The map is rendered again only if the estimated pose is far from the rendered view. If the
 frame then fits badly, alignment is repeated from the predicted pose, matches and rotations.
 """
