@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel, LevelProblem, ResidualScales
-from toolkit.alignment.determinacy import Determinacy, determinacy
+from toolkit.alignment.determinacy import UNITS, Determinacy, determinacy
 from toolkit.alignment.levels import model_level
 from toolkit.exposure import IDENTITY
 from toolkit.geometry import se3
@@ -15,6 +15,7 @@ from toolkit.geometry.camera import Camera
 
 CAMERA = Camera(80.0, 80.0, 47.5, 35.5, 96, 72)
 SCALES = ResidualScales(0.01, 0.01)
+ALONG = 1
 
 
 def wall(seed: int, pattern: NDArray[np.float64] | float = 0.0) -> FrameLevel:
@@ -48,6 +49,16 @@ def test_stripes_determine_the_motion_across_them_only():
     found = measured(0.2 * np.sin(0.3 * x))
     across, along, _ = np.diag(np.linalg.inv(found.in_frame(np.eye(4)) + np.eye(6)))[:3]
     assert along > 25.0 * across
+
+
+def test_the_weakest_direction_is_that_along_stripes_and_not_one_of_noise():
+    x, _ = columns_and_rows()
+    for seed in range(4):
+        pattern = 0.06 * np.sin(0.3 * x)
+        model, frame = model_level(wall(2 * seed, pattern)), wall(2 * seed + 1, pattern)
+        found = determinacy(LevelProblem(model, frame, np.eye(4), SCALES, IDENTITY, 0.1))
+        free = found.directions[np.argmin(found.rises)] / UNITS
+        assert abs(free[ALONG]) > 0.9 * np.linalg.norm(free)
 
 
 def test_the_information_is_that_of_the_frames_own_axes():

@@ -31,7 +31,7 @@ def test_features_decide_where_alignment_knows_nothing():
         np.eye(4), information(*BLIND_SIDEWAYS), features(se3.exp(SIDEWAYS), *(0.1,) * 6)
     )
     np.testing.assert_allclose(found.T_map_camera[:3, 3], SIDEWAYS[:3], atol=1e-3)
-    assert found.disagreement < 1.0 and not found.ambiguity
+    assert found.disagreement < 1.0 and not found.ambiguity()
 
 
 def test_alignment_decides_where_it_is_the_more_accurate():
@@ -57,10 +57,18 @@ def test_features_that_contradict_count_less():
 def test_a_direction_that_nothing_determines_is_named(direction: int, name: str):
     sigmas = list(CERTAIN)
     sigmas[direction] = 3.0
-    assert name in combined(np.eye(4), information(*sigmas), None).ambiguity
+    assert name in combined(np.eye(4), information(*sigmas), None).ambiguity()
 
 
 def test_two_motions_are_named_whatever_is_determined():
     seen = features(np.eye(4), *CERTAIN, motions=(0.55, 0.4))
     found = combined(np.eye(4), information(*CERTAIN), seen)
-    assert "55 % of the features" in found.ambiguity and "40 %" in found.ambiguity
+    assert "55 % of the features" in found.ambiguity() and "40 %" in found.ambiguity()
+
+
+def test_doubt_ends_where_a_direction_is_determined_clearly():
+    unclear, clear = (
+        combined(np.eye(4), information(sigma, *CERTAIN[1:]), None) for sigma in (0.16, 0.1)
+    )
+    assert not unclear.ambiguity() and unclear.ambiguity(after_ambiguous=True)
+    assert not clear.ambiguity(after_ambiguous=True)

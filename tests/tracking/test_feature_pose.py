@@ -69,6 +69,16 @@ def test_vertical_edges_say_nothing_about_the_motion_along_them():
     assert variances[0] > 1000.0 * variances[1]
 
 
+def test_errors_in_the_directions_of_parallel_edges_say_nothing_about_it_either():
+    corners = seen(LAST @ STEP, np.full(120, 2.0))
+    tilts = 0.025 * np.random.default_rng(3).standard_normal(120)
+    normals = np.stack([np.cos(tilts), np.sin(tilts)], axis=1)
+    found = replace(corners, weights=normals[:, :, None] * normals[:, None]).pose([LAST])
+    assert found is not None
+    variances = np.diag(np.linalg.inv(found.information + 1e-3 * np.eye(6)))
+    assert variances[UP_AND_DOWN] > 0.1
+
+
 @pytest.mark.parametrize("count", [0, 7])
 def test_a_few_features_have_no_pose(count: int):
     assert seen(LAST @ STEP, depths(count)).pose([LAST]) is None

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from toolkit.alignment.backend import linearise
 from toolkit.alignment.data import LevelProblem
+from toolkit.alignment.similarity import sampled
 from toolkit.geometry import se3
+from toolkit.geometry.camera import Camera
+from toolkit.native.constants import STUDENT_T_DOF
 
 Array = NDArray[np.float64]
 
@@ -23,8 +26,14 @@ UNITS = np.array([0.05, 0.05, 0.05, 0.035, 0.035, 0.035])
 # Relative rise of the cost at one unit from which a direction is determined well, so that stronger
 # ones need not be measured.
 _WELL = 0.3
+# Relative rise where the view determines nothing: up to 0.04 along stripes.
+_CHANCE = 0.04
 # Relative rise that the errors of pixels and of the map hide.
 _NOISE = 0.001
+
+# Every so many rows and columns are used where derivatives are computed, and the pixels that they
+# are computed from.
+_STEP, _AROUND = 2, np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,29 +62,58 @@ def determinacy(problem: LevelProblem) -> Determinacy:
     Args:
         problem: at its aligned pose.
     """
-    here = linearise(_without_noise(problem))
-    H = here.H[:6, :6]
+    here = linearise(problem)
+    H = _curvature(problem)
     if not np.isfinite(here.cost) or not np.isfinite(H).all():
         return Determinacy(np.diag(UNITS), np.zeros(6))
     strengths, axes = np.linalg.eigh(H * np.outer(UNITS, UNITS))
     directions, rises = (UNITS[:, None] * axes).T, np.zeros(6)
     for k, direction in enumerate(directions):
-        rises[k] = _rise(problem, here.cost, direction)
+        rises[k] = max(_rise(problem, here.cost, direction) - _CHANCE, 0.0)
         if k > 0 and rises[k] > _WELL:
             rises[k + 1 :] = rises[k] * strengths[k + 1 :] / max(strengths[k], 1e-9)
             break
     return Determinacy(directions, rises)
 
 
-def _without_noise(problem: LevelProblem) -> LevelProblem:
-    """The problem with derivatives reduced by the noise.
+def _curvature(problem: LevelProblem) -> Array:
+    """Second derivative [6, 6] of the cost by x in exp(x) T_model_frame, without that of noise.
 
-    That of the pixels along stripes seems to determine the motion along them, so that the
-    directions of the normal equations are not those that the cost knows least about.
+    The normal equations square the derivatives of the model, and with them those of its noise: the
+    pixels along stripes seem to determine the motion along them. The noise of the frame is another
+    one, so that the products of the derivatives of both have no such part (as with instrumental
+    variables).
     """
-    texture = torch.nn.functional.softshrink(problem.model.texture, problem.scales.intensity)
-    texture[..., ::3] = problem.model.texture[..., ::3]
-    return replace(problem, model=replace(problem.model, texture=texture))
+    scales, exposure = problem.scales, problem.exposure
+    depth = linearise(replace(problem, scales=replace(scales, photometric_weight=0.0))).H[:6, :6]
+    own, camera = problem.frame.intensity.cpu().numpy() * exposure.gain, problem.frame.camera
+    z = problem.frame.depth_m.cpu().numpy()
+    _, view_m, view = sampled(problem.model, camera, z, problem.T_model_frame)
+    known = cv2.erode((view_m > 0).astype(np.uint8), _AROUND)[::_STEP, ::_STEP] > 0
+    X = (camera.rays() * z[..., None])[::_STEP, ::_STEP][known]
+    first, second = (_derivatives(image, camera, X, known) for image in (view, own))
+    residual = (view - own - exposure.bias)[::_STEP, ::_STEP][known] / scales.intensity
+    robust = (STUDENT_T_DOF + 1.0) / (STUDENT_T_DOF + residual**2) / scales.intensity**2
+    H = _STEP**2 * scales.photometric_weight * (first * robust) @ second.T
+    A = se3.adjoint(se3.inverse(problem.T_model_frame))
+    return np.asarray(depth + A.T @ (0.5 * (H + H.T)) @ A)
+
+
+def _derivatives(
+    image: NDArray[np.floating], camera: Camera, X: Array, known: NDArray[np.bool_]
+) -> Array:
+    """Derivatives [6, N] of an image [H, W] by the motion of points [N, 3] in front of a camera.
+
+    Args:
+        known: of every n-th row and column, which the points belong to.
+    """
+    kernel = np.array([[-0.5, 0.0, 0.5]])
+    across, down = (
+        cv2.filter2D(image, -1, k)[::_STEP, ::_STEP][known] / X[:, 2] for k in (kernel, kernel.T)
+    )
+    a, b = camera.fx * across, camera.fy * down
+    slope = np.stack([a, b, -(a * X[:, 0] + b * X[:, 1]) / X[:, 2]])
+    return np.concatenate([slope, np.cross(X, slope.T).T])
 
 
 def _rise(problem: LevelProblem, cost: float, direction: Array) -> float:

@@ -78,7 +78,7 @@ def aligned_correlation(
         for image in (frame.intensity, frame.depth_m)
     )
     measured = depth_m > 0
-    gap_m, view_m, intensity = _sampled(model, frame.camera, depth_m, T_model_frame)
+    gap_m, view_m, intensity = sampled(model, frame.camera, depth_m, T_model_frame)
     covered = view_m > 0
     # Beside edges, where the view has no plane, a fraction of a pixel changes the depth.
     judged = covered & np.isfinite(gap_m)
@@ -95,7 +95,7 @@ def aligned_correlation(
     )
 
 
-def _sampled(
+def sampled(
     model: ModelLevel, camera: Camera, depth_m: Image, T_model_frame: Array
 ) -> tuple[Image, Image, Image]:
     """What a view shows at the pixels of a frame.

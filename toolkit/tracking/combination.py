@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 
 # Information that is assumed where neither source has any.
 _WEAK = 1e-3 * np.eye(6)
-# Standard deviation, in units of `UNITS`, of a direction that a frame does not determine.
-_UNDETERMINED = 0.2
+# Standard deviation, in units of `UNITS`, from which a frame does not determine a direction, and
+# that which ends the doubt.
+_UNDETERMINED, _DETERMINED = 0.2, 0.12
 _NAMES = ("to the side", "up and down", "forwards and backwards", "pitch", "yaw", "roll")
 
 
@@ -42,15 +43,20 @@ class Combination:
     disagreement: float = 0.0
     motions: tuple[float, float] | None = None
 
-    @property
-    def ambiguity(self) -> str:
-        """Why other motions explain the frame as well; empty if none does."""
+    def ambiguity(self, after_ambiguous: bool = False) -> str:
+        """Why other motions explain the frame as well; empty if none does.
+
+        Args:
+            after_ambiguous: whether this was so in the frame before. Where a view determines
+                nothing, single frames seem to determine something; one that ends the doubt must do
+                so clearly.
+        """
         if self.motions is not None:
             first, second = (100.0 * share for share in self.motions)
             return f"{first:.0f} % of the features move in one way, {second:.0f} % in another"
         scaled = self.information * np.outer(UNITS, UNITS)
         variances, axes = np.linalg.eigh(np.linalg.inv(scaled + np.diag(UNITS**2)))
-        if variances[-1] < _UNDETERMINED**2:
+        if variances[-1] < (_DETERMINED if after_ambiguous else _UNDETERMINED) ** 2:
             return ""
         name = _NAMES[int(np.argmax(np.abs(axes[:, -1])))]
         return f"the view does not determine the motion: {name}"

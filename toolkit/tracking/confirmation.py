@@ -51,7 +51,7 @@ def shows_same_place(first: Frame, second: Frame) -> bool:
             LevelProblem(models[_LEVEL], frame[_LEVEL], T, found.scales, exposure, gate)
         )
         pose = Combination(T, determined.in_frame(T))
-        if not (doubt_reason(similarity) or pose.ambiguity):
+        if not (doubt_reason(similarity) or pose.ambiguity()):
             return True
     return False
 

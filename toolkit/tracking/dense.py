@@ -33,7 +33,7 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.stages import Stage
-from toolkit.tracking.evidence import is_clear, quality, unexpected_reason
+from toolkit.tracking.evidence import is_clear, unexpected_reason
 from toolkit.tracking.feature_pose import FeaturePose
 from toolkit.tracking.health import has_depth, relaxed_scales
 from toolkit.tracking.judgement import judged
@@ -42,6 +42,7 @@ from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.prepared import PreparedFrames
 from toolkit.tracking.proposals import Proposals
+from toolkit.tracking.reach import Reach, by_evidence, doubted, likeliest
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.rotation_search import rotated_starts, wide_camera
 from toolkit.tracking.views import MapRenderer, RenderedView, Task
@@ -85,6 +86,7 @@ class DenseTracker(MovingTracker):
         self._newest: FrameLevel | None = None
         self._scales = INITIAL_SCALES
         self._exposure = IDENTITY
+        self._ambiguous = False
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
         """Compute a frame's pyramid on a GPU while earlier frames are tracked.
@@ -99,6 +101,7 @@ class DenseTracker(MovingTracker):
         scales = [self._scales.intensity, self._scales.depth_m]
         exposure = [self._exposure.gain, self._exposure.bias]
         own = {"scales": np.array(scales), "exposure": np.array(exposure)}
+        own |= {"ambiguous": np.array(self._ambiguous)}
         features = {f"features/{name}": a for name, a in self._landmarks.state().items()}
         return super().state() | own | features
 
@@ -107,6 +110,7 @@ class DenseTracker(MovingTracker):
         super().restore(state)
         self._scales = ResidualScales(*(float(s) for s in state["scales"]))
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
+        self._ambiguous = bool(state["ambiguous"])
         self._landmarks.restore(arrays_below(state, "features/"))
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
@@ -130,6 +134,7 @@ class DenseTracker(MovingTracker):
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
         """Continue from a pose [4, 4], without a velocity."""
         super().continue_from(timestamp_s, T_map_camera)
+        self._ambiguous = False
         self._landmarks = Landmarks(self._newest, T_map_camera)
 
     def track(
@@ -143,15 +148,21 @@ class DenseTracker(MovingTracker):
         self._newest = self._prepared.of(frame, gaussians.means.device).levels[0]
         with self._recorder.timed(Stage.TRACKING_FEATURES):
             features = self._landmarks.locate(self._newest, starts)
-        result = self.locate(frame, gaussians, *starts, proposals=proposals, features=features)
-        if result.health is Health.GOOD:
+        reach = self.motion.reach(frame.timestamp_s)
+        result = self.locate(
+            frame, gaussians, *starts, proposals=proposals, features=features, reach=reach
+        )
+        if result.health is Health.GOOD or result.ambiguous:
+            # Other directions than the ambiguous one are known.
             self.motion.update(frame.timestamp_s, result.T_map_camera)
+        if result.health is Health.GOOD:
             self._scales = ResidualScales(result.intensity_residual, result.depth_residual_m)
             self._exposure = result.exposure
-        else:
+        elif not result.ambiguous:
             self.motion.forget_velocity()
             if has_depth(frame):
                 self._scales = relaxed_scales(self._scales)
+        self._ambiguous = result.ambiguous
         if result.lost:
             self._landmarks.undo()
         else:
@@ -167,6 +178,7 @@ class DenseTracker(MovingTracker):
         proposals: Proposals | None = None,
         search: bool = True,
         features: FeaturePose | None = None,
+        reach: Reach | None = None,
     ) -> TrackingResult:
         """Locate a frame near one of several initial poses; the tracker's state does not change.
 
@@ -177,18 +189,20 @@ class DenseTracker(MovingTracker):
             search: look for other initial poses at all.
             features: the pose of the frame's features, at which alignment starts instead, and with
                 which its result is combined.
+            reach: where the camera may be. A pattern that repeats is found outside of it, too.
         """
-        task = Task(self._prepared.of(frame, gaussians.means.device), gaussians, features)
+        prepared = self._prepared.of(frame, gaussians.means.device)
+        task = Task(prepared, gaussians, features, self._ambiguous)
         results, start, expected = [], starts[0], starts[0]
         if features is not None:
             # Features are accurate to a pixel or two, and at coarse levels thin joints are lost.
             start = expected = features.T_map_camera
             results.append(self._align(task, self._render(task, start), start, _FINE_LEVELS))
-        if features is None or not (results[0].health is Health.GOOD or results[0].ambiguous):
+        if features is None or not self._suffices(results[0], reach):
             view = self._render(task, starts[0])
             start = self._best_start(task, view, starts)
             results.append(self._align(task, view, start))
-        likely = max(results, key=_rank)
+        likely = max(results, key=by_evidence)
         unclear = has_depth(frame) and not self._is_expected(task, likely, expected)
         # No other start makes an ambiguous view unambiguous.
         if search and unclear and not likely.ambiguous:
@@ -196,14 +210,20 @@ class DenseTracker(MovingTracker):
             for T_map_camera, levels in further:
                 nearby = self._render(task, T_map_camera)
                 results.append(self._align(task, nearby, T_map_camera, levels))
-        best = max(results, key=_rank)
+        best = likeliest(task, results, reach)
         if has_depth(frame) and not self._is_expected(task, best, expected):
-            best = _doubted(best, unexpected_reason(best.similarity))
+            best = doubted(best, unexpected_reason(best.similarity))
         return replace(
             best,
             renders=sum(result.renders for result in results),
             iterations=sum(result.iterations for result in results),
         )
+
+    @staticmethod
+    def _suffices(result: TrackingResult, reach: Reach | None) -> bool:
+        """Whether an alignment from the features' pose needs none from the predicted one."""
+        possible = reach is None or reach.contains(result.T_map_camera)
+        return possible and (result.ambiguous or result.health is Health.GOOD)
 
     def _is_expected(
         self, task: Task, result: TrackingResult, T_expected: NDArray[np.float64]
@@ -233,7 +253,7 @@ class DenseTracker(MovingTracker):
             start: the first initial pose.
             results: those so far; the caller extends them.
         """
-        likely = max(results, key=_rank)
+        likely = max(results, key=by_evidence)
         proposed = () if proposals is None else proposals(task.frame)
         searches = chain(
             ((T_map_camera, _FINE_LEVELS) for T_map_camera in proposed),
@@ -350,15 +370,3 @@ class DenseTracker(MovingTracker):
 def _is_clear(result: TrackingResult) -> bool:
     """Whether no other pose needs to be considered."""
     return not result.lost and is_clear(result.similarity)
-
-
-def _doubted(result: TrackingResult, reason: str) -> TrackingResult:
-    """The result, doubtful if there is a reason and it counted as good."""
-    if not reason or result.health is not Health.GOOD:
-        return result
-    return replace(result, health=Health.DOUBTFUL, reason=reason)
-
-
-def _rank(result: TrackingResult) -> tuple[bool, float]:
-    """Order of the results of a frame: those with a pose first, then by their evidence."""
-    return not result.lost, quality(result.similarity)

@@ -33,13 +33,18 @@ _SOON_UNCOVERED = 0.5
 
 def quality(similarity: Similarity | None) -> float:
     """Quality of a pose from 0 to 1, which can be compared between poses of one frame."""
+    return 0.0 if similarity is None else math.sqrt(similarity.covered) * likeness(similarity)
+
+
+def likeness(similarity: Similarity | None) -> float:
+    """Likeness of a frame to what the map shows of it at a pose, from 0 to 1."""
     if similarity is None:
         return 0.0
     correlation = _NEUTRAL
     if similarity.blocks >= _MIN_BLOCKS:
         # Slightly wrong poses show in the blocks that fit worst.
         correlation = 0.5 * (similarity.correlation + similarity.low_correlation)
-    return math.sqrt(similarity.covered) * max(correlation, 0.0) * similarity.agreeing
+    return max(correlation, 0.0) * similarity.agreeing
 
 
 def is_clear(similarity: Similarity | None, min_covered: float = _CLEAR_COVERED) -> bool:

@@ -34,6 +34,8 @@ _ITERATIONS = 3
 _MAX_STEP, _SMALL_STEP = 0.3, 2e-4
 # Directions that features hardly determine stay where they are.
 _DAMPING = np.diag(1.0 / UNITS**2)
+# Standard deviation of the measured direction of an edge.
+_DIRECTION_RAD = 0.03
 # A feature that misses its place by more follows something else.
 _OUTLIER_PX = 2.0
 # Fewer features that fit, or a smaller fraction of them, determine no pose.
@@ -112,7 +114,7 @@ class Observations:
             return None
         spread = float(np.sqrt(np.mean(found.errors[fits] ** 2) / 2.0))
         sigma = min(max(spread, _MIN_SIGMA_PX), _MAX_SIGMA_PX)
-        information = one.H * (SIGMA_PX / sigma) ** 2
+        information = self._certain(one) * (SIGMA_PX / sigma) ** 2
         return FeaturePose(found.T_map_camera, information, fits, motions)
 
     def _motion(self, T_map_camera: Array, sigmas_px: Sequence[float]) -> _Motion:
@@ -133,6 +135,16 @@ class Observations:
                     break
         T = se3.orthonormalise(T)
         return _Motion(T, self._errors(T), H)
+
+    def _certain(self, motion: _Motion) -> Array:
+        """The normal equations' H without what errors in the directions of edges pretend."""
+        strength = np.trace(self.weights, axis1=1, axis2=2)[:, None, None]
+        everywhere = replace(self, weights=strength * np.eye(2))
+        J = everywhere._derivatives(motion.T_map_camera)
+        squares = np.concatenate([motion.errors, motion.errors]) ** 2
+        robust = (STUDENT_T_DOF + 2) / (STUDENT_T_DOF * SIGMA_PX**2 + squares)
+        values, axes = np.linalg.eigh(motion.H - _DIRECTION_RAD**2 * (J.T @ (J * robust[:, None])))
+        return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
     def _residuals(self, T_map_camera: Array) -> tuple[Array, Array]:
         """Whitened residuals [2, N] and their squares [N]; those behind the camera are infinite."""

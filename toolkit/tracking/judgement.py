@@ -80,7 +80,7 @@ def judged(
             reason = doubt_reason(similarity)
             # What the cost beside a wrong pose determines says nothing about the view.
             if not reason or pose.motions is not None:
-                ambiguity = pose.ambiguity
+                ambiguity = pose.ambiguity(task.after_ambiguous)
             reason = reason or ambiguity
             health = Health.DOUBTFUL if reason else health
     return Judgement(pose, health, reason, bool(ambiguity), similarity, visible, information)

@@ -6,6 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
+from toolkit.tracking.reach import Reach
+
+# Changes of velocity and velocities that a camera in a hand or on a robot does not exceed.
+_ACCELERATION, _ANGULAR_ACCELERATION = 10.0, 50.0
+_SPEED, _ANGULAR_SPEED = 2.0, 4.0
+# Error of a pose that was extrapolated from two poses.
+_ERROR_M, _ERROR_RAD = 0.01, 0.02
 
 
 class ConstantVelocity:
@@ -27,6 +34,19 @@ class ConstantVelocity:
         # Limit the extrapolation after a gap in the sequence.
         ratio = min((timestamp_s - self._times[1]) / elapsed, 2.0)
         return self._poses[1] @ se3.exp(ratio * step)
+
+    def reach(self, timestamp_s: float) -> Reach | None:
+        """Where the camera may be at a time; None before the first pose."""
+        if not self._poses:
+            return None
+        elapsed_s = timestamp_s - self._times[-1]
+        if len(self._poses) < 2:
+            metres, radians = _SPEED * elapsed_s, _ANGULAR_SPEED * elapsed_s
+        else:
+            # The velocity is that in the middle of the time between both poses.
+            squared = 0.5 * elapsed_s * (elapsed_s + self._times[-1] - self._times[-2])
+            metres, radians = _ACCELERATION * squared, _ANGULAR_ACCELERATION * squared
+        return Reach(self.predict(timestamp_s), metres + _ERROR_M, radians + _ERROR_RAD)
 
     def last(self) -> NDArray[np.float64] | None:
         """The newest pose [4, 4], or None."""

@@ -58,11 +58,17 @@ class MapRenderer:
 
 @dataclass(frozen=True)
 class Task:
-    """A frame to be located in a map."""
+    """A frame to be located in a map.
+
+    Attributes:
+        features: what its features tell.
+        after_ambiguous: whether the frame before did not determine its pose.
+    """
 
     prepared: PreparedFrame
     gaussians: GaussianCloud
     features: FeaturePose | None = None
+    after_ambiguous: bool = False
 
     @property
     def frame(self) -> Frame:

@@ -1,0 +1,78 @@
+"""Where the camera may be, and which of several fitting poses is its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from toolkit.alignment.similarity import Similarity
+from toolkit.geometry import se3
+from toolkit.tracking.motion import ConstantVelocity
+from toolkit.tracking.reach import Reach, likeliest
+from toolkit.tracking.result import Health, TrackingResult, not_tracked
+
+
+class MetreTask:
+    """A task at a depth of one metre."""
+
+    def distance(self, first: np.ndarray, second: np.ndarray) -> float:
+        return float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
+
+
+def aside(metres: float) -> np.ndarray:
+    return se3.exp(np.array([metres, 0.0, 0.0, 0.0, 0.0, 0.0]))
+
+
+def found(metres: float, correlation: float = 0.95, covered: float = 0.9) -> TrackingResult:
+    """A good result at a place, with this evidence."""
+    similarity = Similarity(correlation, correlation, 50, covered, 1.0)
+    good = replace(not_tracked(""), T_map_camera=aside(metres), health=Health.GOOD)
+    return replace(good, similarity=similarity)
+
+
+def chosen(*results: TrackingResult, metres: float = 0.05) -> TrackingResult:
+    """The likeliest result if the camera is expected at the origin."""
+    return likeliest(MetreTask(), results, Reach(np.eye(4), metres, 0.1))  # type: ignore[arg-type]
+
+
+def test_a_velocity_limits_where_the_camera_may_be():
+    motion = ConstantVelocity()
+    assert motion.reach(0.0) is None
+    motion.update(0.0, np.eye(4))
+    anywhere = motion.reach(0.1)
+    motion.update(0.1, aside(0.1))
+    near = motion.reach(0.2)
+    assert anywhere is not None and near is not None
+    assert anywhere.contains(aside(0.2)) and anywhere.contains(aside(-0.2))
+    assert (
+        near.contains(aside(0.2)) and near.contains(aside(0.28)) and not near.contains(aside(0.0))
+    )
+    turned = aside(0.2) @ se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0]))
+    assert not near.contains(turned)
+
+
+def test_of_two_poses_that_fit_the_possible_one_is_taken():
+    best, possible = found(0.12, covered=1.0), found(0.01, covered=0.7)
+    assert chosen(best, possible) is possible
+    assert chosen(possible, best) is possible
+
+
+@pytest.mark.parametrize("metres", [0.005, 0.2])
+def test_a_frame_is_doubtful_if_none_or_several_poses_are_possible(metres: float):
+    result = chosen(found(0.12, covered=1.0), found(0.02, covered=0.7), metres=metres)
+    assert result.health is Health.DOUBTFUL and "repeats" in result.reason
+    assert result.T_map_camera[0, 3] == pytest.approx(0.02)
+
+
+def test_a_sudden_motion_is_believed_if_no_other_pose_fits():
+    sudden = found(0.12)
+    assert chosen(sudden, found(0.01, correlation=0.7)) is sudden
+    assert chosen(sudden) is sudden
+    assert chosen(sudden, replace(found(0.01), health=Health.LOST)) is sudden
+
+
+def test_results_at_one_place_are_no_contradiction():
+    best, again = found(0.03), found(0.02, covered=0.8)
+    assert chosen(best, again) is best

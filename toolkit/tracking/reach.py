@@ -1,0 +1,80 @@
+"""Where the camera may be, and which of several poses that explain a frame is likely.
+
+What repeats looks the same at several poses. The camera is at the one that it can have reached; if
+it can have reached more than one of them, the frame alone does not tell where it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import se3
+from toolkit.tracking.evidence import likeness, quality
+from toolkit.tracking.result import Health, TrackingResult
+from toolkit.tracking.views import Task
+
+# Poses that are farther apart (`Task.distance`) are different ones, and explain a frame equally
+# well if the likeness at one is this fraction of that at the other.
+_ANOTHER, _AS_GOOD = 0.02, 0.93
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The poses that a camera may have reached.
+
+    Attributes:
+        T_map_camera: [4, 4] the likeliest one.
+        metres, radians: how far it may be from that.
+    """
+
+    T_map_camera: NDArray[np.float64]
+    metres: float
+    radians: float
+
+    def contains(self, T_map_camera: NDArray[np.float64]) -> bool:
+        """Whether a pose [4, 4] can be the camera's."""
+        motion = se3.inverse(self.T_map_camera) @ T_map_camera
+        near = float(np.linalg.norm(motion[:3, 3])) <= self.metres
+        return near and float(se3.rotation_angle_rad(motion[:3, :3])) <= self.radians
+
+
+def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None) -> TrackingResult:
+    """The best result or, if others explain the frame as well, the one nearest to the prediction.
+
+    The latter is doubtful unless it is the only one that the camera can have reached.
+    """
+    best = max(results, key=by_evidence)
+    if reach is None or best.lost:
+        return best
+    fitting = [
+        result
+        for result in results
+        if not result.lost and likeness(result.similarity) >= _AS_GOOD * likeness(best.similarity)
+    ]
+    nearest = min(fitting, key=lambda one: task.distance(reach.T_map_camera, one.T_map_camera))
+    if task.distance(best.T_map_camera, nearest.T_map_camera) < _ANOTHER:
+        return best
+    others = [
+        one for one in fitting if task.distance(one.T_map_camera, nearest.T_map_camera) > _ANOTHER
+    ]
+    if reach.contains(nearest.T_map_camera) and not any(
+        reach.contains(other.T_map_camera) for other in others
+    ):
+        return nearest
+    return doubted(nearest, "what it shows repeats: several poses fit")
+
+
+def doubted(result: TrackingResult, reason: str) -> TrackingResult:
+    """The result, doubtful if there is a reason and it counted as good."""
+    if not reason or result.health is not Health.GOOD:
+        return result
+    return replace(result, health=Health.DOUBTFUL, reason=reason)
+
+
+def by_evidence(result: TrackingResult) -> tuple[bool, float]:
+    """Order of the results of a frame: those with a pose first, then by their evidence."""
+    return not result.lost, quality(result.similarity)
