@@ -20,6 +20,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.native.constants import STUDENT_T_DOF
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
 
 # The displacements at which the cost is measured: 5 cm or 2 degrees.
 UNITS = np.array([0.05, 0.05, 0.05, 0.035, 0.035, 0.035])
@@ -84,36 +85,44 @@ def _curvature(problem: LevelProblem) -> Array:
     one, so that the products of the derivatives of both have no such part (as with instrumental
     variables).
     """
-    scales, exposure = problem.scales, problem.exposure
-    depth = linearise(replace(problem, scales=replace(scales, photometric_weight=0.0))).H[:6, :6]
-    own, camera = problem.frame.intensity.cpu().numpy() * exposure.gain, problem.frame.camera
+    scales, exposure, T = problem.scales, problem.exposure, problem.T_model_frame
+    own = problem.frame.intensity.cpu().numpy() * np.float32(exposure.gain)
     z = problem.frame.depth_m.cpu().numpy()
-    _, view_m, view = sampled(problem.model, camera, z, problem.T_model_frame)
+    _, view_m, view = sampled(problem.model, problem.frame.camera, z, T)
     known = cv2.erode((view_m > 0).astype(np.uint8), _AROUND)[::_STEP, ::_STEP] > 0
-    X = (camera.rays() * z[..., None])[::_STEP, ::_STEP][known]
-    first, second = (_derivatives(image, camera, X, known) for image in (view, own))
-    residual = (view - own - exposure.bias)[::_STEP, ::_STEP][known] / scales.intensity
+    points = _points(problem.frame.camera, z)[:, known]
+    first, second = (
+        _derivatives(image, problem.frame.camera, points, known) for image in (view, own)
+    )
+    residual = (view - own - np.float32(exposure.bias))[::_STEP, ::_STEP][known] / scales.intensity
     robust = (STUDENT_T_DOF + 1.0) / (STUDENT_T_DOF + residual**2) / scales.intensity**2
     H = _STEP**2 * scales.photometric_weight * (first * robust) @ second.T
-    A = se3.adjoint(se3.inverse(problem.T_model_frame))
+    A = se3.adjoint(se3.inverse(T))
+    depth = linearise(replace(problem, scales=replace(scales, photometric_weight=0.0))).H[:6, :6]
     return np.asarray(depth + A.T @ (0.5 * (H + H.T)) @ A)
 
 
-def _derivatives(
-    image: NDArray[np.floating], camera: Camera, X: Array, known: NDArray[np.bool_]
-) -> Array:
-    """Derivatives [6, N] of an image [H, W] by the motion of points [N, 3] in front of a camera.
+def _points(camera: Camera, depth_m: Image) -> Image:
+    """Points [3, h, w] of every n-th row and column of a depth image [H, W]."""
+    z = depth_m[::_STEP, ::_STEP]
+    x = ((np.arange(0, camera.width, _STEP) - camera.cx) / camera.fx).astype(np.float32)
+    y = ((np.arange(0, camera.height, _STEP) - camera.cy) / camera.fy).astype(np.float32)
+    return np.stack([x * z, y[:, None] * z, z])
+
+
+def _derivatives(image: Image, camera: Camera, points: Image, known: NDArray[np.bool_]) -> Image:
+    """Derivatives [6, N] of an image [H, W] by the motion of points [3, N] in front of a camera.
 
     Args:
         known: of every n-th row and column, which the points belong to.
     """
-    kernel = np.array([[-0.5, 0.0, 0.5]])
-    across, down = (
-        cv2.filter2D(image, -1, k)[::_STEP, ::_STEP][known] / X[:, 2] for k in (kernel, kernel.T)
+    (x, y, z), kernel = points, np.array([[-0.5, 0.0, 0.5]])
+    a, b = (
+        cv2.filter2D(image, -1, focal * k)[::_STEP, ::_STEP][known] / z
+        for focal, k in ((camera.fx, kernel), (camera.fy, kernel.T))
     )
-    a, b = camera.fx * across, camera.fy * down
-    slope = np.stack([a, b, -(a * X[:, 0] + b * X[:, 1]) / X[:, 2]])
-    return np.concatenate([slope, np.cross(X, slope.T).T])
+    c = -(a * x + b * y) / z
+    return np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
 
 
 def _rise(problem: LevelProblem, cost: float, direction: Array) -> float:
