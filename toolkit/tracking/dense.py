@@ -362,7 +362,6 @@ class DenseTracker(MovingTracker):
             ambiguous=judgement.ambiguous,
             exposure=self._estimated_exposure(task, view, alignment),
             similarity=judgement.similarity,
-            determined=judgement.pose.information,
             T_by_features=None if task.features is None else task.features.T_map_camera,
         )
 

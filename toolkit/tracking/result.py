@@ -38,8 +38,6 @@ class TrackingResult:
         reason: why the frame is doubtful or lost; empty if it is neither.
         exposure: exposure of the frame against the map.
         similarity: of the frame and the map at the pose; None if it was not measured.
-        determined: [6, 6] as `information`, but by the rise of the cost and by the features; None
-            if that was not measured.
         T_by_features: [4, 4] as T_map_camera, by the features alone; None without them.
         ambiguous: whether other motions explain the frame as well, so that it cannot be relocalised
             either.
@@ -57,7 +55,6 @@ class TrackingResult:
     reason: str = ""
     exposure: Exposure = IDENTITY
     similarity: Similarity | None = None
-    determined: NDArray[np.float64] | None = field(default=None, repr=False)
     T_by_features: NDArray[np.float64] | None = field(default=None, repr=False)
     ambiguous: bool = False
 
