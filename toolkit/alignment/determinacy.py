@@ -27,8 +27,9 @@ UNITS = np.array([0.05, 0.05, 0.05, 0.035, 0.035, 0.035])
 # Relative rise of the cost at one unit from which a direction is determined well, so that stronger
 # ones need not be measured.
 _WELL = 0.3
-# Relative rise where the view determines nothing: up to 0.04 along stripes.
-_CHANCE = 0.04
+# Relative rise where the view determines nothing: up to 0.04 along stripes, where residuals are
+# those of noise. Larger ones than this have other causes, and chance changes their sum by less.
+_CHANCE, _NOISE_INTENSITY = 0.04, 0.015
 # Relative rise that the errors of pixels and of the map hide.
 _NOISE = 0.001
 
@@ -68,9 +69,10 @@ def determinacy(problem: LevelProblem) -> Determinacy:
     if not np.isfinite(here.cost) or not np.isfinite(H).all():
         return Determinacy(np.diag(UNITS), np.zeros(6))
     strengths, axes = np.linalg.eigh(H * np.outer(UNITS, UNITS))
+    chance = _CHANCE * min(1.0, _NOISE_INTENSITY / problem.scales.intensity) ** 2
     directions, rises = (UNITS[:, None] * axes).T, np.zeros(6)
     for k, direction in enumerate(directions):
-        rises[k] = max(_rise(problem, here.cost, direction) - _CHANCE, 0.0)
+        rises[k] = max(_rise(problem, here.cost, direction) - chance, 0.0)
         if k > 0 and rises[k] > _WELL:
             rises[k + 1 :] = rises[k] * strengths[k + 1 :] / max(strengths[k], 1e-9)
             break

@@ -43,6 +43,7 @@ from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.prepared import PreparedFrames
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.reach import Reach, by_evidence, doubted, likeliest
+from toolkit.tracking.repetition import repetitions
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.rotation_search import rotated_starts, wide_camera
 from toolkit.tracking.views import MapRenderer, RenderedView, Task
@@ -152,16 +153,17 @@ class DenseTracker(MovingTracker):
         result = self.locate(
             frame, gaussians, *starts, proposals=proposals, features=features, reach=reach
         )
-        if result.health is Health.GOOD or result.ambiguous:
-            # Other directions than the ambiguous one are known.
+        two_motions = features is not None and features.motions is not None
+        if result.health is Health.GOOD or (result.ambiguous and not two_motions):
+            # In other directions than the ambiguous one, the velocity is known.
             self.motion.update(frame.timestamp_s, result.T_map_camera)
+        else:
+            self.motion.forget_velocity()
         if result.health is Health.GOOD:
             self._scales = ResidualScales(result.intensity_residual, result.depth_residual_m)
             self._exposure = result.exposure
-        elif not result.ambiguous:
-            self.motion.forget_velocity()
-            if has_depth(frame):
-                self._scales = relaxed_scales(self._scales)
+        elif not result.ambiguous and has_depth(frame):
+            self._scales = relaxed_scales(self._scales)
         self._ambiguous = result.ambiguous
         if result.lost:
             self._landmarks.undo()
@@ -197,7 +199,8 @@ class DenseTracker(MovingTracker):
         if features is not None:
             # Features are accurate to a pixel or two, and at coarse levels thin joints are lost.
             start = expected = features.T_map_camera
-            results.append(self._align(task, self._render(task, start), start, _FINE_LEVELS))
+            view = self._render(task, start)
+            results.append(self._align(task, view, start, _FINE_LEVELS))
         if features is None or not self._suffices(results[0], reach):
             view = self._render(task, starts[0])
             start = self._best_start(task, view, starts)
@@ -210,6 +213,11 @@ class DenseTracker(MovingTracker):
             for T_map_camera, levels in further:
                 nearby = self._render(task, T_map_camera)
                 results.append(self._align(task, nearby, T_map_camera, levels))
+        likely = max(results, key=by_evidence)
+        if reach is not None and likely.health is Health.GOOD:
+            for T_map_camera in repetitions(task, view, likely.T_map_camera, reach):
+                view = self._render(task, T_map_camera)
+                results.append(self._align(task, view, T_map_camera, _FINE_LEVELS))
         best = likeliest(task, results, reach)
         if has_depth(frame) and not self._is_expected(task, best, expected):
             best = doubted(best, unexpected_reason(best.similarity))

@@ -57,15 +57,14 @@ def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None
     ]
     nearest = min(fitting, key=lambda one: task.distance(reach.T_map_camera, one.T_map_camera))
     if task.distance(best.T_map_camera, nearest.T_map_camera) < _ANOTHER:
-        return best
+        nearest = best
     others = [
         one for one in fitting if task.distance(one.T_map_camera, nearest.T_map_camera) > _ANOTHER
     ]
-    if reach.contains(nearest.T_map_camera) and not any(
-        reach.contains(other.T_map_camera) for other in others
-    ):
+    possible = [one for one in others if reach.contains(one.T_map_camera)]
+    if not others or (reach.contains(nearest.T_map_camera) and not possible):
         return nearest
-    return doubted(nearest, "what it shows repeats: several poses fit")
+    return replace(doubted(nearest, "what it shows repeats: several poses fit"), ambiguous=True)
 
 
 def doubted(result: TrackingResult, reason: str) -> TrackingResult:
