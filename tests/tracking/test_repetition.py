@@ -43,8 +43,8 @@ def places(intensity: NDArray[np.float64], metres: float) -> list[float]:
 def border() -> NDArray[np.float64]:
     """A pattern that repeats to the side, and differs from row to row."""
     x = np.arange(CAMERA.width) - CAMERA.cx
-    rows = 0.2 * np.random.default_rng(2).random((CAMERA.height, 1))
-    return 0.4 + 0.2 * np.sin(2.0 * np.pi * x / PERIOD_PX) + rows
+    rows = 0.5 * np.random.default_rng(2).random((CAMERA.height, 1))
+    return 0.3 + 0.2 * np.sin(2.0 * np.pi * x / PERIOD_PX) + rows
 
 
 def test_a_pattern_looks_the_same_a_period_away():
