@@ -73,6 +73,11 @@ def test_a_sudden_motion_is_believed_if_no_other_pose_fits():
     assert chosen(sudden, replace(found(0.01), health=Health.LOST)) is sudden
 
 
+def test_a_pose_at_which_the_map_shows_little_of_the_frame_is_no_rival():
+    best = found(0.12, covered=1.0)
+    assert chosen(best, found(0.01, covered=0.3)) is best
+
+
 def test_results_at_one_place_are_no_contradiction():
     best, again = found(0.03), found(0.02, covered=0.8)
     assert chosen(best, again) is best

@@ -18,8 +18,8 @@ from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.views import Task
 
 # Poses that are farther apart (`Task.distance`) are different ones, and explain a frame equally
-# well if the likeness at one is this fraction of that at the other.
-_ANOTHER, _AS_GOOD = 0.02, 0.93
+# well if the likeness, and what is visible of it, are these fractions of those at the best one.
+_ANOTHER, _AS_GOOD, _AS_MUCH = 0.02, 0.93, 0.75
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,7 @@ def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None
     best = max(results, key=by_evidence)
     if reach is None or best.lost:
         return best
-    fitting = [
-        result
-        for result in results
-        if not result.lost and likeness(result.similarity) >= _AS_GOOD * likeness(best.similarity)
-    ]
+    fitting = [one for one in results if not one.lost and _fits_as_well(one, best)]
     nearest = min(fitting, key=lambda one: task.distance(reach.T_map_camera, one.T_map_camera))
     if task.distance(best.T_map_camera, nearest.T_map_camera) < _ANOTHER:
         nearest = best
@@ -65,6 +61,13 @@ def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None
     if not others or (reach.contains(nearest.T_map_camera) and not possible):
         return nearest
     return replace(doubted(nearest, "what it shows repeats: several poses fit"), ambiguous=True)
+
+
+def _fits_as_well(result: TrackingResult, best: TrackingResult) -> bool:
+    """Whether a result explains about as much of the frame as the best one, and as well."""
+    first, second = result.similarity, best.similarity
+    alike = likeness(first) >= _AS_GOOD * likeness(second)
+    return alike and quality(first) >= _AS_MUCH * quality(second)
 
 
 def doubted(result: TrackingResult, reason: str) -> TrackingResult:
