@@ -19,7 +19,7 @@ from toolkit.tracking.views import Task
 
 # Poses that are farther apart (`Task.distance`) are different ones, and explain a frame equally
 # well if the likeness, and what is visible of it, are these fractions of those at the best one.
-_ANOTHER, _AS_GOOD, _AS_MUCH = 0.02, 0.93, 0.75
+_ANOTHER, _AS_GOOD, _AS_MUCH = 0.04, 0.95, 0.75
 
 
 @dataclass(frozen=True)
