@@ -141,7 +141,7 @@ class DenseTracker(MovingTracker):
     def track(
         self, frame: Frame, gaussians: GaussianCloud, proposals: Proposals | None = None
     ) -> TrackingResult:
-        """Track a frame and update the motion model, unless the frame is doubtful or lost."""
+        """Track a frame and update the motion model, unless its pose is unknown."""
         starts = [self.motion.predict(frame.timestamp_s)]
         last = self.motion.last()
         if last is not None:
