@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import RecordedDataset, Recording
-from toolkit.datasets.shutter.recording import estimate_readout
+from toolkit.datasets.shutter.recording import estimate_readout, with_readout
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
@@ -189,7 +189,7 @@ class CaseDataset(RecordedDataset):
             readout_s=selection.time_factor * (recording.readout_s or 0.0),
         )
         if estimate_shutter:
-            shown = replace(shown, readout_s=estimate_readout(shown).certain_readout_s)
+            shown = with_readout(shown, estimate_readout(shown))
         super().__init__(shown, image_size)
         self.truth, self._selection = found, selection
         self.scenes = [0] * len(files)

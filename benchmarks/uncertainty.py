@@ -22,6 +22,7 @@ from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
+from toolkit.datasets.shutter.recording import estimate_readout, with_readout
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.pose_graph.consistency import quantile
@@ -156,13 +157,16 @@ def main() -> None:
 
 
 def strided(name: str, stride: int) -> RecordedDataset:
-    """Every n-th frame of a sequence, with the ground truth of all frames."""
+    """Every n-th frame of a sequence, as in a run, with the ground truth of all frames."""
     recording = _RECORDINGS.get(name)
     if recording is None:
         described, size = describe("synthetic", room(name)), None
     else:
         described, size = describe(recording.kind, recording.path), recording.image_size
-    return RecordedDataset(replace(described, files=described.files[::stride]), size)
+    shown = replace(described, files=described.files[::stride])
+    if shown.readout_s is None:
+        shown = with_readout(shown, estimate_readout(shown))
+    return RecordedDataset(shown, size)
 
 
 def run(name: str, dataset: RecordedDataset) -> SlamResult:

@@ -32,6 +32,7 @@ class Frame:
             if everything is.
         readout_s: time in seconds from the exposure of the first row to that of the last, of both
             images; 0 for a global shutter.
+        readout_sigma_s: standard deviation of that time.
         fault: why its files could not be read; empty if they could. The images are black and
             without depth otherwise.
 
@@ -48,6 +49,7 @@ class Frame:
     inferred: NDArray[np.bool_] | None = None
     ignored: NDArray[np.bool_] | None = None
     readout_s: float = 0.0
+    readout_sigma_s: float = 0.0
     fault: str = ""
 
     def __post_init__(self) -> None:

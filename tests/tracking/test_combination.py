@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,3 +74,22 @@ def test_doubt_ends_where_a_direction_is_determined_clearly():
     )
     assert not unclear.ambiguity() and unclear.ambiguity(after_ambiguous=True)
     assert not clear.ambiguity(after_ambiguous=True)
+
+
+def test_features_with_a_wrong_calibration_still_end_the_doubt():
+    blind = information(0.5, *CERTAIN[1:])
+    beside = features(se3.exp(SIDEWAYS), *CERTAIN)
+    found = combined(np.eye(4), blind, beside)
+    assert combined(np.eye(4), blind, None).ambiguity()
+    tilted = replace(beside, T_map_camera=se3.exp(np.array([0.02, 0, 0, 0, 0.008, 0])))
+    contradicting = combined(np.eye(4), blind, tilted)
+    assert contradicting.disagreement > 5.0 and not contradicting.ambiguity()
+    assert np.abs(contradicting.T_map_camera[0, 3]) < np.abs(found.T_map_camera[0, 3])
+
+
+def test_the_covariance_is_that_of_what_is_determined():
+    sigmas = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    found = combined(np.eye(4), information(*sigmas), None)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), sigmas * UNITS, rtol=1e-3)
+    unknown = combined(np.eye(4), np.zeros((6, 6)), None)
+    np.testing.assert_allclose(unknown.covariance, np.eye(6))

@@ -95,13 +95,35 @@ def test_features_start_what_the_tracker_missed(room: Scene):
     assert mm < 0.5
 
 
-def test_recent_keyframes_count_if_older_ones_contradict_them(room: Scene):
-    drift = motion(2, 0.25, 12.0)
-    earlier = [moved(keyframe(room, 0), 0), *room.target.keyframes[1:3]]
-    earlier[0] = replace(earlier[0], T_map_camera=drift @ earlier[0].T_map_camera)
-    new = moved(keyframe(room, 3), 1)
-    mm, _ = error(KeyframePlacement().place(earlier, new), keyframe(room, 3).T_map_camera)
-    assert mm < 0.5
+@pytest.fixture
+def contradicted(monkeypatch):
+    """Older keyframes contradict the recent ones: no pose fits all of them."""
+    aligned = KeyframePlacement._aligned
+
+    def failing(self, chosen, new, start):
+        found = aligned(self, chosen, new, start)
+        return replace(found, converged=len(chosen) <= 2)
+
+    monkeypatch.setattr(KeyframePlacement, "_aligned", failing)
+
+
+@pytest.mark.parametrize(("metres", "degrees", "moves"), [(0.08, 3.0, True), (0.04, 1.5, False)])
+def test_recent_keyframes_decide_about_jumps(room: Scene, contradicted, metres, degrees, moves):
+    new = moved(keyframe(room, 3), 1, metres, degrees)
+    T = KeyframePlacement().place(room.target.keyframes[:3], new)
+    mm, _ = error(T, keyframe(room, 3).T_map_camera)
+    assert mm < 0.5 if moves else np.array_equal(T, new.T_map_camera)
+
+
+@pytest.mark.parametrize("agree", [False, True])
+def test_with_features_recent_keyframes_decide_about_less(room: Scene, contradicted, agree):
+    true = keyframe(room, 3)
+    new, near = moved(true, 1, 0.04, 1.5), moved(true, 2, 0.002, 0.1).T_map_camera
+    T = KeyframePlacement().place(
+        room.target.keyframes[:3], new, near if agree else new.T_map_camera
+    )
+    mm, _ = error(T, true.T_map_camera)
+    assert mm < 0.5 if agree else np.array_equal(T, new.T_map_camera)
 
 
 def test_a_keyframe_of_other_surfaces_is_ignored(room: Scene, monkeypatch):

@@ -126,6 +126,7 @@ class Recording:
             shifted by it.
         readout_s: time in seconds from the exposure of the first row of an image to that of the
             last, of colour and depth; 0 for a global shutter; None if it is not known.
+        readout_sigma_s: its standard deviation, if it was estimated.
         carrier: [h, w] bool, parts of the image that show what carries the camera and are ignored;
             None for none.
     """
@@ -151,6 +152,7 @@ class Recording:
     focal_sigma: float | None = None
     depth_offset_px: tuple[float, float] = (0.0, 0.0)
     readout_s: float | None = None
+    readout_sigma_s: float = 0.0
     carrier: NDArray[np.bool_] | None = None
 
 
@@ -166,6 +168,7 @@ class RecordedDataset:
             relative; whole metres, and 0 unless its poses are far away, as in UTM.
         readout_s: time in seconds from the exposure of the first row of a frame to that of the
             last; 0 for a global shutter, or if it is not known.
+        readout_sigma_s: its standard deviation.
 
     Args:
         recording: description of the files.
@@ -207,6 +210,7 @@ class RecordedDataset:
         # A crop contains a part of the rows.
         rows = self.camera.height / self.camera.fy * recording.camera.fy / recording.camera.height
         self.readout_s = (recording.readout_s or 0.0) * rows
+        self.readout_sigma_s = recording.readout_sigma_s * rows
         self._videos: dict[Path, VideoFile] = {}
         self.origin_m = np.zeros(3)
         self.ground_truth: Trajectory | None = None
@@ -260,7 +264,14 @@ class RecordedDataset:
             depth_m = self._grid.depth(depth_m)
             labels = None if labels is None else self._grid.nearest(labels)
         frame = Frame(
-            index, files.timestamp_s, rgb, depth_m, self.camera, labels, readout_s=self.readout_s
+            index,
+            files.timestamp_s,
+            rgb,
+            depth_m,
+            self.camera,
+            labels,
+            readout_s=self.readout_s,
+            readout_sigma_s=self.readout_sigma_s,
         )
         return frame if self._ignored is None else without_pixels(frame, self._ignored)
 

@@ -30,7 +30,7 @@ from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offs
 from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.findings import camera_faults, pose_faults
 from toolkit.datasets.options import BagTopics
-from toolkit.datasets.shutter.recording import estimate_readout
+from toolkit.datasets.shutter.recording import estimate_readout, with_readout
 from toolkit.datasets.times import is_impossible, unit_fault
 from toolkit.errors import DatasetError
 from toolkit.frame import Frame
@@ -218,7 +218,7 @@ def _with_readout(recording: Recording, max_frames: int | None) -> Recording:
         if found.certain_readout_s
         else "it is not undone",
     )
-    return replace(recording, readout_s=found.certain_readout_s)
+    return with_readout(recording, found)
 
 
 def _reduced(recording: Recording) -> tuple[int, int] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,8 @@ from toolkit.frame import Frame, FrameStamp
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.closing.uncertainty import PathPose
-from toolkit.loops.pose_graph.noise import pixel_covariance
 from toolkit.loops.relocalisation import LastPosition
+from toolkit.slam.frame_covariance import by_shutter, by_view
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.result import TrackingResult, exposure_of
@@ -29,8 +30,10 @@ Array = NDArray[np.float64]
 _VELOCITY_S = 0.12
 # Number of newest frames that may include these poses, if frames are dropped.
 _MAX_RECENT = 16
-# Standard deviation of directions of a pose that tracking did not determine, metres and radians.
-_UNSEEN = 1.0
+# Motion since the first of several equal images from which their pose is wrong.
+_MOVED_M, _MOVED_RAD = 0.05, 0.035
+# Every so many rows are compared.
+_EVERY = 16
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,8 @@ class _TrackedFrame:
         keyframe: frame index of the reference keyframe, which belongs to `submap`.
         doubt: why the pose may be wrong; empty if it is reliable.
         steps: number of optimisation steps on the frame, if it became a keyframe.
+        fingerprint: of its images as they were recorded.
+        repeats: whether they are those of the frame before.
     """
 
     index: int
@@ -50,6 +55,8 @@ class _TrackedFrame:
     exposure: Exposure
     doubt: str = ""
     steps: int = 0
+    fingerprint: int = 0
+    repeats: bool = False
 
 
 class CameraPath:
@@ -68,7 +75,7 @@ class CameraPath:
         self.dropped_frames: list[int] = []
         self._frames: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[Array] = []
-        self._pixel_covariances: list[Array] = []
+        self._covariances: list[Array] = []
 
     def add(
         self,
@@ -77,25 +84,47 @@ class CameraPath:
         T_submap_camera: Array,
         tracking: TrackingResult | None,
         steps: int = 0,
+        fingerprint: int = 0,
     ) -> None:
         """Add a frame of the active submap, relative to its newest keyframe.
 
         Args:
             T_submap_camera: [4, 4]. tracking: None or lost for a frame that was not located.
             steps: number of optimisation steps on a keyframe.
+            fingerprint: `fingerprint` of the frame as it was recorded.
         """
         last = atlas.keyframes[-1]
         # The map follows the exposures of its keyframes, not those of tracking.
         exposure = last.exposure if frame.index == last.index else exposure_of(tracking)
         doubt = tracking.reason if tracking is not None and tracking.doubtful else ""
         self.unreliable_in_a_row = self.unreliable_in_a_row + 1 if doubt else 0
+        covariance = by_view(frame, tracking)
+        if covariance.any() and self._frames:
+            covariance = covariance + by_shutter(
+                frame, self._last_motion(frame, atlas, T_submap_camera)
+            )
+        self._covariances.append(covariance)
         self._frames.append(
             _TrackedFrame(
-                frame.index, frame.timestamp_s, atlas.active, last.index, exposure, doubt, steps
+                frame.index,
+                frame.timestamp_s,
+                atlas.active,
+                last.index,
+                exposure,
+                doubt,
+                steps,
+                fingerprint,
             )
         )
         self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
-        self._pixel_covariances.append(_pixel_covariance(frame, tracking))
+
+    def _last_motion(self, frame: Frame, atlas: Atlas, T_submap_camera: Array) -> Array:
+        """Mean velocity [6] (m/s, rad/s) from the newest frame to the next one."""
+        number, T_last = self.last_pose(atlas)
+        T_world_camera = atlas.T_world_submap(atlas.active) @ T_submap_camera
+        T_world_last = atlas.T_world_submap(number) @ T_last
+        elapsed_s = frame.timestamp_s - self._frames[-1].timestamp_s
+        return se3.log(se3.inverse(T_world_last) @ T_world_camera) / elapsed_s
 
     def add_lost(self, frame: Frame, reason: str, tried: bool = True) -> None:
         """Add a frame without a pose, and why it has none.
@@ -131,12 +160,43 @@ class CameraPath:
         if self._is_lost or disorder:
             self.lost_frames[frame.index] = disorder or "dropped while the camera was lost"
             return False
+        self._append_last(frame, self._frames[-1].doubt)
+        return True
+
+    def repeats(self, frame: Frame) -> bool:
+        """Whether a frame shows the images of the newest frame with a pose again, to the bit.
+
+        Noise makes the images of any sensor differ: these were stored or sent twice.
+        """
+        return not self._is_lost and self._frames[-1].fingerprint == fingerprint(frame)
+
+    def add_repeated(self, frame: Frame, atlas: Atlas) -> str:
+        """Add a frame that repeats the images of the newest one, at its pose.
+
+        Returns:
+            Why the pose may be wrong; empty if the camera has hardly moved since.
+        """
+        first = next(f for f in reversed(self._frames) if not f.repeats)
+        velocity = self.velocity(atlas, first)
+        elapsed_s, doubt = frame.timestamp_s - first.timestamp_s, ""
+        moved = np.zeros(6) if velocity is None else velocity * elapsed_s
+        metres, radians = np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])
+        if metres > _MOVED_M or radians > _MOVED_RAD:
+            doubt = (
+                f"its images are those of frame {first.index}, and the camera may have moved by "
+                f"{100 * metres:.0f} cm and {np.degrees(radians):.0f} degrees since"
+            )
+        self._append_last(frame, doubt, repeats=True)
+        self._covariances[-1] = self._covariances[-1] + np.outer(moved, moved)
+        return doubt
+
+    def _append_last(self, frame: FrameStamp, doubt: str, repeats: bool = False) -> None:
+        """Add a frame at the pose of the newest one."""
         newest = self._frames[-1]
         last = replace(newest, index=frame.index, timestamp_s=frame.timestamp_s, steps=0)
-        self._frames.append(last)
+        self._frames.append(replace(last, doubt=doubt, repeats=repeats))
         self._T_keyframe_camera.append(self._T_keyframe_camera[-1])
-        self._pixel_covariances.append(self._pixel_covariances[-1])
-        return True
+        self._covariances.append(self._covariances[-1])
 
     @property
     def _is_lost(self) -> bool:
@@ -209,7 +269,7 @@ class CameraPath:
             for f, T in zip(
                 self._frames[-_MAX_RECENT:], self._T_keyframe_camera[-_MAX_RECENT:], strict=True
             )
-            if f.index >= first_allowed and not f.doubt and f.index not in dropped
+            if f.index >= first_allowed and not (f.doubt or f.repeats) and f.index not in dropped
         ]
         if not recent or frame.timestamp_s - recent[-1][0].timestamp_s > MAX_GAP_S:
             return None
@@ -252,7 +312,7 @@ class CameraPath:
         return [
             PathPose(f.submap, T, f.keyframe == f.index, covariance)
             for f, T, covariance in zip(
-                self._frames, self.poses_in_submaps(atlas), self._pixel_covariances, strict=True
+                self._frames, self.poses_in_submaps(atlas), self._covariances, strict=True
             )
         ]
 
@@ -286,7 +346,7 @@ class CameraPath:
         """Arrays and JSON values from which `restore` continues identically."""
         arrays = {
             "T_keyframe_camera": self.T_keyframe_camera,
-            "pixel_covariances": np.array(self._pixel_covariances).reshape(-1, 6, 6),
+            "covariances": np.array(self._covariances).reshape(-1, 6, 6),
         }
         return arrays, {
             "tracked": [asdict(f) for f in self._frames],
@@ -302,18 +362,16 @@ class CameraPath:
             for f in values["tracked"]
         ]
         self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
-        self._pixel_covariances = list(np.array(arrays["pixel_covariances"]))
+        self._covariances = list(np.array(arrays["covariances"]))
         self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
         self.unreliable_in_a_row = int(values["unreliable_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]
 
 
-def _pixel_covariance(frame: Frame, tracking: TrackingResult | None) -> Array:
-    """Covariance [6, 6] of a frame's pose from one pixel; 0 for the first frame of a part."""
-    if tracking is None or tracking.lost:
-        return np.zeros((6, 6))
-    pixels = frame.camera.width * frame.camera.height
-    return pixel_covariance(tracking.information, pixels, _UNSEEN)
+def fingerprint(frame: Frame) -> int:
+    """A number that differs between the images of any two exposures."""
+    rows = (image[::_EVERY].tobytes() for image in (frame.rgb, frame.depth_m))
+    return crc32(b"".join(rows))
 
 
 def _interpolated(balances: Mapping[int, Balance], index: int) -> Balance:

@@ -31,7 +31,7 @@ from toolkit.refinement.parts import separate
 from toolkit.refinement.saved_labels import label_saved
 from toolkit.refinement.within import StepProgress, refine_submaps
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam.camera_path import CameraPath
+from toolkit.slam.camera_path import CameraPath, fingerprint
 from toolkit.slam.carrier_watch import CarrierWatch
 from toolkit.slam.collection import collected, parts_of, poses_beside
 from toolkit.slam.frame_locator import FrameLocator
@@ -48,7 +48,8 @@ from toolkit.submaps.submap import Submap
 from toolkit.threads import single_threaded_blas
 from toolkit.tracking.evidence import shows_much_unmapped
 from toolkit.tracking.health import has_depth, is_black
-from toolkit.tracking.result import TrackingResult, exposure_of, not_tracked
+from toolkit.tracking.moving import MovingTracker
+from toolkit.tracking.result import TrackingResult, at_pose_of_last, exposure_of, not_tracked
 from toolkit.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
@@ -194,9 +195,10 @@ class Slam:
 
     def _processed(self, frame: Frame, may_map: bool) -> FrameResult:
         """Track and map a frame, in the unit of the system."""
-        if unusable := frame.fault or self._path.disorder(frame):
-            self._path.add_lost(frame, unusable, tried=False)
-            return FrameResult(frame.index, None, not_tracked(unusable))
+        known = self._known(frame)
+        if known is not None:
+            return known
+        recorded = fingerprint(frame)
         if self._carrier is not None:
             submap = self.atlas.current if self.atlas.has_active_submap else None
             frame = self._carrier.of(frame, submap)
@@ -234,7 +236,7 @@ class Slam:
             with self._recorder.timed(Stage.SCENE_GRAPH):
                 self._scene.update(self.atlas, 1.0 / self.unit.per_metre)
         steps = 0 if mapping is None else mapping.steps
-        self._path.add(frame, self.atlas, T_map_camera, tracking, steps)
+        self._path.add(frame, self.atlas, T_map_camera, tracking, steps, recorded)
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
         is_keyframe = self.atlas.keyframes[-1].index == frame.index
         return FrameResult(
@@ -247,6 +249,18 @@ class Slam:
             submap=self.atlas.active,
         )
 
+    def _known(self, frame: Frame) -> FrameResult | None:
+        """The result of a frame that need not be tracked: an unusable one, or the last one again.
+
+        Where poses are given, equal images do not matter.
+        """
+        if unusable := frame.fault or self._path.disorder(frame):
+            self._path.add_lost(frame, unusable, tried=False)
+            return FrameResult(frame.index, None, not_tracked(unusable))
+        if isinstance(self.tracker, MovingTracker) and self._path.repeats(frame):
+            return self._like_last(frame, self._path.add_repeated(frame, self.atlas))
+        return None
+
     def drop_frame(self, frame: FrameStamp) -> FrameResult:
         """Record a frame without processing it; its pose is that of the frame before.
 
@@ -254,17 +268,20 @@ class Slam:
         """
         if not self._path.add_dropped(frame):
             return FrameResult(frame.index, None, None, dropped=True)
+        result = replace(self._like_last(frame), tracking=None, dropped=True)
+        return self.unit.frame_result_in_metres(result)
+
+    def _like_last(self, frame: FrameStamp, doubt: str = "") -> FrameResult:
+        """The result of a frame at the pose of the frame before, and why that may be wrong."""
         number, T_map_camera = self._path.last_pose(self.atlas)
         T_world_camera = self.atlas.T_world_submap(number) @ T_map_camera
-        result = FrameResult(
+        return FrameResult(
             frame.index,
             T_map_camera,
-            None,
+            at_pose_of_last(T_map_camera, doubt),
             T_world_camera=T_world_camera,
-            dropped=True,
             submap=number,
         )
-        return self.unit.frame_result_in_metres(result)
 
     def defer_work(self, keyframes: KeyframeChoice) -> DeferredSteps:
         """Defer work that poses do not depend on.

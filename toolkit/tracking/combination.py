@@ -32,7 +32,8 @@ class Combination:
 
     Attributes:
         T_map_camera: [4, 4].
-        information: [6, 6] of x in T_map_camera exp(x).
+        information: [6, 6] of x in T_map_camera exp(x), as the sources were weighted.
+        known: [6, 6] that of both sources, as far as their disagreement lets one believe it.
         disagreement: squared distance of both sources per degree of freedom, 1 if they agree within
             their errors; 0 without features.
         motions: see `FeaturePose`.
@@ -40,8 +41,14 @@ class Combination:
 
     T_map_camera: Array
     information: Array = field(repr=False)
+    known: Array = field(repr=False)
     disagreement: float = 0.0
     motions: tuple[float, float] | None = None
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance [6, 6] of x; 1 m and 1 rad in directions without information."""
+        return np.asarray(np.linalg.inv(self.information + np.eye(6)))
 
     def ambiguity(self, after_ambiguous: bool = False) -> str:
         """Why other motions explain the frame as well; empty if none does.
@@ -54,8 +61,8 @@ class Combination:
         if self.motions is not None:
             first, second = (100.0 * share for share in self.motions)
             return f"{first:.0f} % of the features move in one way, {second:.0f} % in another"
-        scaled = self.information * np.outer(UNITS, UNITS)
-        variances, axes = np.linalg.eigh(np.linalg.inv(scaled + np.diag(UNITS**2)))
+        covariance = np.linalg.inv(self.known + np.eye(6))
+        variances, axes = np.linalg.eigh(covariance / np.outer(UNITS, UNITS))
         if variances[-1] < (_DETERMINED if after_ambiguous else _UNDETERMINED) ** 2:
             return ""
         name = _NAMES[int(np.argmax(np.abs(axes[:, -1])))]
@@ -70,11 +77,14 @@ def combined(T_map_camera: Array, information: Array, features: FeaturePose | No
         information: [6, 6] of x in T_map_camera exp(x), by alignment.
     """
     if features is None:
-        return Combination(T_map_camera, information)
+        return Combination(T_map_camera, information, information)
     difference = se3.log(se3.inverse(T_map_camera) @ features.T_map_camera)
     covariance = np.linalg.inv(information + _WEAK) + np.linalg.inv(features.information + _WEAK)
     disagreement = float(difference @ np.linalg.solve(covariance, difference)) / len(difference)
-    own: Array = features.information / max(1.0, disagreement) ** 2
+    # With covariances that are larger by the square of the Birge ratio, both would agree. Their
+    # weight falls faster: it is the calibration of the features that is wrong.
+    known: Array = features.information / max(1.0, disagreement)
+    own: Array = known / max(1.0, disagreement)
     step = np.asarray(np.linalg.solve(information + own + _WEAK, own @ difference), np.float64)
     T = se3.orthonormalise(T_map_camera @ se3.exp(step))
-    return Combination(T, information + own, disagreement, features.motions)
+    return Combination(T, information + own, information + known, disagreement, features.motions)

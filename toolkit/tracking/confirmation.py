@@ -20,7 +20,7 @@ from toolkit.alignment.similarity import aligned_correlation
 from toolkit.exposure import Exposure
 from toolkit.frame import Frame
 from toolkit.keyframe import Keyframe
-from toolkit.tracking.combination import Combination
+from toolkit.tracking.combination import combined
 from toolkit.tracking.evidence import doubt_reason
 from toolkit.tracking.proposals import FeatureProposals
 
@@ -50,7 +50,7 @@ def shows_same_place(first: Frame, second: Frame) -> bool:
         determined = determinacy(
             LevelProblem(models[_LEVEL], frame[_LEVEL], T, found.scales, exposure, gate)
         )
-        pose = Combination(T, determined.in_frame(T))
+        pose = combined(T, determined.in_frame(T), None)
         if not (doubt_reason(similarity) or pose.ambiguity()):
             return True
     return False

@@ -365,6 +365,7 @@ class DenseTracker(MovingTracker):
             depth_residual_m=alignment.scales.depth_m,
             visible_fraction=judgement.visible,
             information=judgement.information,
+            covariance=judgement.pose.covariance,
             health=judgement.health,
             reason=judgement.reason,
             ambiguous=judgement.ambiguous,

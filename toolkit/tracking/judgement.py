@@ -69,14 +69,15 @@ def judged(
     model, frame, T_view_camera = view.levels[level], task.levels[level], alignment.T_view_camera
     # Alignment that fails immediately returns a product of the tracker's own poses. Without
     # orthonormalisation, rounding errors would accumulate over a few hundred such frames.
-    pose = Combination(se3.orthonormalise(view.T_map_view @ T_view_camera), np.zeros((6, 6)))
+    T_map_camera = se3.orthonormalise(view.T_map_view @ T_view_camera)
+    pose = combined(T_map_camera, np.zeros((6, 6)), None)
     ambiguity = ""
     with recorder.timed(Stage.TRACKING_EVIDENCE):
         similarity = aligned_correlation(model, frame, T_view_camera)
         if not reason:
             scales, exposure, gate = alignment.scales, alignment.exposure, max_distance * 2**level
             found = determinacy(LevelProblem(model, frame, T_view_camera, scales, exposure, gate))
-            pose = combined(pose.T_map_camera, found.in_frame(T_view_camera), task.features)
+            pose = combined(T_map_camera, found.in_frame(T_view_camera), task.features)
             reason = doubt_reason(similarity)
             # What the cost beside a wrong pose determines says nothing about the view.
             if not reason or pose.motions is not None:

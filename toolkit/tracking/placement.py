@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.data import FrameLevel, ModelLevel
+from toolkit.alignment.determinacy import UNITS
 from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.alignment.levels import keyframe_level, limited_to_width, model_level, pyramid
 from toolkit.alignment.matching import correction_too_large
@@ -38,10 +39,10 @@ _RECENT, _OLDER = 2, 4
 _EVERY = 4
 # Minimum overlap of the new keyframe with a recent and with an older one.
 _MIN_RECENT, _MIN_OLDER = 0.2, 0.5
-# Quality relative to that of the tracked pose, and distance from it, from which recent keyframes
-# alone decide. Nearer poses are drift of the recent ones as often as errors of the tracked pose.
-_MUCH_BETTER = 1.5
-_JUMP_M, _JUMP_RAD = 0.05, 0.035
+# Quality relative to that of the tracked pose, and distance from it in units of 5 cm or 2 degrees,
+# from which recent keyframes alone decide. Nearer poses are drift of the recent ones as often as
+# errors of the tracked pose, unless the features are nearer to them by this factor.
+_MUCH_BETTER, _JUMP, _NEARER = 1.5, 1.0, 0.5
 # Tracked poses are accurate to one or two pixels, so few levels suffice. With half of these limits,
 # alignment takes a quarter longer, and trajectories and maps are the same.
 _DENSE = JointOptions(levels=2, small_translation_m=2e-4, small_rotation_rad=1e-4)
@@ -105,7 +106,11 @@ class KeyframePlacement:
             T_map_camera = found.T_target_source
             similarity = self._similarity(recent[-1], new, T_map_camera)
             better = is_clear(similarity, _MIN_RECENT) and quality(similarity) > enough
-            if better and _is_jump(se3.inverse(new.T_map_camera) @ T_map_camera):
+            jump = _distance(new.T_map_camera, T_map_camera)
+            if T_by_features is not None:
+                agrees = _distance(T_by_features, T_map_camera) < _NEARER * jump
+                jump += _JUMP * agrees
+            if better and jump > _JUMP:
                 return T_map_camera
         return new.T_map_camera
 
@@ -156,9 +161,10 @@ class KeyframePlacement:
         return _Levels(pyramid(finest, _DENSE.levels))
 
 
-def _is_jump(T: Array) -> bool:
-    angle = float(se3.rotation_angle_rad(T[:3, :3]))
-    return float(np.linalg.norm(T[:3, 3])) > _JUMP_M or angle > _JUMP_RAD
+def _distance(T_first: Array, T_second: Array) -> float:
+    """Distance of two poses [4, 4]."""
+    motion = np.abs(se3.log(se3.inverse(T_first) @ T_second)) / UNITS
+    return max(float(np.linalg.norm(part)) for part in (motion[:3], motion[3:]))
 
 
 def _observing(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -32,8 +32,10 @@ class TrackingResult:
         intensity_residual: robust scale of the photometric residual, intensities in [0, 1].
         depth_residual_m: robust scale of the geometric residual at 1 m distance, metres.
         visible_fraction: fraction of the frame's measured pixels that the map explains.
-        information: [6, 6] inverse covariance of a perturbation in the camera's frame,
-            T_map_camera exp(x) with x = (translation, rotation).
+        information: [6, 6] of a perturbation in the camera's frame, T_map_camera exp(x) with
+            x = (translation, rotation), if the errors of pixels were independent.
+        covariance: [6, 6] of the same perturbation, by what the view determines; None if it was not
+            measured.
         health: GOOD; DOUBTFUL if the pose may be wrong and must not extend the map; or LOST.
         reason: why the frame is doubtful or lost; empty if it is neither.
         exposure: exposure of the frame against the map.
@@ -51,6 +53,7 @@ class TrackingResult:
     depth_residual_m: float
     visible_fraction: float
     information: NDArray[np.float64] = field(repr=False)
+    covariance: NDArray[np.float64] | None = field(default=None, repr=False)
     health: Health = Health.GOOD
     reason: str = ""
     exposure: Exposure = IDENTITY
@@ -83,6 +86,12 @@ def not_tracked(reason: str) -> TrackingResult:
         health=Health.LOST,
         reason=reason,
     )
+
+
+def at_pose_of_last(T_map_camera: NDArray[np.float64], reason: str) -> TrackingResult:
+    """Result for a frame that was not tracked, and why it is doubtful; empty if it is not."""
+    health = Health.DOUBTFUL if reason else Health.GOOD
+    return replace(not_tracked(reason), T_map_camera=T_map_camera, health=health)
 
 
 def exposure_of(result: TrackingResult | None) -> Exposure:

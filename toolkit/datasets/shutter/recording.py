@@ -34,3 +34,10 @@ def estimate_readout(recording: Recording, max_frames: int | None = None) -> Shu
         readout_s=found.readout_s / frames.readout_s,
         readout_sigma_s=found.readout_sigma_s / frames.readout_s,
     )
+
+
+def with_readout(recording: Recording, found: ShutterEstimate) -> Recording:
+    """A recording with an estimated readout time, 0 if that is uncertain."""
+    return replace(
+        recording, readout_s=found.certain_readout_s, readout_sigma_s=found.remaining_sigma_s
+    )

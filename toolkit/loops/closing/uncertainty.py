@@ -36,14 +36,14 @@ class PathPose:
         submap: number of the frame's submap.
         T_submap_camera: [4, 4].
         keyframe: whether the map was extended with it.
-        pixel_covariance: [6, 6] covariance of the pose from one pixel's residuals
-            (`toolkit.loops.pose_graph.noise.pixel_covariance`); 0 if tracking did not measure it.
+        view_covariance: [6, 6] of the pose against the map by what its view determines; 0 if
+            tracking did not measure it.
     """
 
     submap: int
     T_submap_camera: Array
     keyframe: bool
-    pixel_covariance: Array = field(repr=False)
+    view_covariance: Array = field(repr=False)
 
 
 def frame_covariances(
@@ -93,9 +93,9 @@ def measured_links(
     measured = []
     for link in links:
         start, known = starts.get(link.second), submaps.get(link.first)
-        if start is not None and known is not None and start.pixel_covariance.any():
-            T, pixel = link.T_first_second, start.pixel_covariance
-            covariance = known.covariance(PathPose(link.first, T, True, pixel))
+        if start is not None and known is not None and start.view_covariance.any():
+            T, view = link.T_first_second, start.view_covariance
+            covariance = known.covariance(PathPose(link.first, T, True, view))
             link = PoseEdge(link.first, link.second, T, information_of(covariance))
         measured.append(link)
     return measured
@@ -133,7 +133,7 @@ class _Views:
             step: motion since the frame before, metres plus radians.
         """
         covariance, _ = self._drifted(frame)
-        return covariance + self._noise.of_frame(frame.pixel_covariance, step)
+        return covariance + self._noise.of_frame(frame.view_covariance, step)
 
     def _drifted(self, frame: PathPose) -> tuple[Array, float]:
         """Covariance [6, 6] and chained motion of a frame through the keyframe it depends on.
@@ -149,5 +149,5 @@ class _Views:
         motions = np.where(near, np.array(self._motions) + metres + radians, np.inf)
         k = int(np.argmin(motions))
         covariance = covariance_in_frame(self._covariances[k], T[k])
-        step = self._noise.drift(frame.pixel_covariance, float(metres[k]), float(radians[k]))
+        step = self._noise.drift(frame.view_covariance, float(metres[k]), float(radians[k]))
         return covariance + step, float(motions[k])

@@ -13,12 +13,13 @@ adds the constant term of each edge.
 
 The pose graph is given the terms with constants. They are upper bounds for hand-held sensors, so
 that correct loops pass its tests. The covariances of frames that a run reports follow from what was
-measured instead. Errors that are correlated over the whole image do not average out over its
-pixels, so that their size is that of one pixel's residual:
+measured instead, of the frame against the map (`view`):
 
-    pixel = pixels * inverse(information)       of the tracked frame
-    drift_ratio^2 * pixel * (metres + radians)    between two views of the same surfaces
-    + frame_ratio^2 * pixel * (1 + step / moved)  of the frame itself, after a step of this motion
+    drift_ratio^2 * view * (metres + radians)    between two views of the same surfaces
+    + frame_ratio^2 * view * (1 + step / moved)  of the frame itself, after a step of this motion
+
+Trackers that only know the information give that of one pixel, since errors that are correlated
+over the whole image do not average out over its pixels: view = pixels * inverse(information).
 
 A camera that moves fast between two frames blurs and bends them, and the velocity by which that is
 undone is less certain.
@@ -89,7 +90,7 @@ class OdometryNoise(LoopNoise):
         per_metre_m, per_metre_rad: standard deviations after a path of 1 m.
         per_radian_m, per_radian_rad: standard deviations after a rotation by 1 rad.
         drift_ratio: standard deviation of a frame's drift over 1 m or 1 rad of motion between views
-            of the same surfaces, relative to that which one pixel's residuals determine.
+            of the same surfaces, relative to that of the view.
         frame_ratio: that of a frame against the map, while the camera hardly moves.
         moved: motion between two frames that doubles the variance of a frame against the map, in
             metres plus radians.
@@ -117,25 +118,25 @@ class OdometryNoise(LoopNoise):
         drift_rad2 = self.per_metre_rad**2 * metres + self.per_radian_rad**2 * radians
         return self.alignment(information) + np.diag([drift_m2] * 3 + [drift_rad2] * 3)
 
-    def drift(self, pixel: Array, metres: float, radians: float) -> Array:
+    def drift(self, view: Array, metres: float, radians: float) -> Array:
         """Covariance [6, 6] of the drift between two views of the same surfaces.
 
         Args:
-            pixel: [6, 6] of `pixel_covariance` of the later view; 0 if it is unknown.
+            view: [6, 6] covariance by what the later view determines; 0 if it is unknown.
             metres, radians: motion between them.
         """
-        if not pixel.any():
+        if not view.any():
             return self.covariance(_NO_NOISE, metres, radians)
-        return self.drift_ratio**2 * (metres + radians) * pixel
+        return self.drift_ratio**2 * (metres + radians) * view
 
-    def of_frame(self, pixel: Array, step: float) -> Array:
+    def of_frame(self, view: Array, step: float) -> Array:
         """Covariance [6, 6] of a frame against the map.
 
         Args:
-            pixel: [6, 6] of `pixel_covariance`; 0 if it is unknown.
+            view: [6, 6] covariance by what the frame's view determines; 0 if it is unknown.
             step: motion since the frame before, metres plus radians.
         """
-        return np.asarray(self.frame_ratio**2 * (1.0 + step / self.moved) * pixel)
+        return np.asarray(self.frame_ratio**2 * (1.0 + step / self.moved) * view)
 
     def along(
         self, first: int, second: int, T_map_camera: Sequence[Array], information: Array
