@@ -9,13 +9,17 @@ import pytest
 
 from toolkit.alignment.similarity import Similarity
 from toolkit.geometry import se3
+from toolkit.tracking.feature_pose import FeaturePose
 from toolkit.tracking.motion import ConstantVelocity
-from toolkit.tracking.reach import Reach, likeliest
+from toolkit.tracking.reach import Reach, likeliest, unless_contradicted
 from toolkit.tracking.result import Health, TrackingResult, not_tracked
 
 
 class MetreTask:
     """A task at a depth of one metre."""
+
+    def __init__(self, features: FeaturePose | None = None) -> None:
+        self.features = features
 
     def distance(self, first: np.ndarray, second: np.ndarray) -> float:
         return float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
@@ -81,3 +85,27 @@ def test_a_pose_at_which_the_map_shows_little_of_the_frame_is_no_rival():
 def test_results_at_one_place_are_no_contradiction():
     best, again = found(0.03), found(0.02, covered=0.8)
     assert chosen(best, again) is best
+
+
+def followed(metres: float, motions: tuple[float, float] | None = None) -> FeaturePose:
+    """Features that were followed to a place."""
+    return FeaturePose(aside(metres), np.eye(6), np.ones(50, bool), motions)
+
+
+@pytest.mark.parametrize(
+    ("features", "metres", "lost"),
+    [
+        (followed(0.01), 3.75, True),  # the next door of a corridor
+        (followed(0.01), 0.2, False),  # a correction of drift
+        (followed(0.01), 0.04, False),
+        (followed(3.7), 3.75, False),
+        (followed(0.01, motions=(0.6, 0.4)), 3.75, False),
+        (None, 3.75, False),  # after a cut
+    ],
+)
+def test_features_tell_a_place_from_one_that_looks_like_it(features, metres: float, lost: bool):
+    reach = Reach(np.eye(4), 0.05, 0.1)
+    result = found(metres)
+    kept = unless_contradicted(MetreTask(features), result, reach)  # type: ignore[arg-type]
+    assert kept.lost == lost and (lost or kept is result)
+    assert unless_contradicted(MetreTask(features), result, None) is result  # type: ignore[arg-type]

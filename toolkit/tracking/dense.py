@@ -42,7 +42,7 @@ from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.prepared import PreparedFrames
 from toolkit.tracking.proposals import Proposals
-from toolkit.tracking.reach import Reach, by_evidence, doubted, likeliest
+from toolkit.tracking.reach import Reach, by_evidence, doubted, likeliest, unless_contradicted
 from toolkit.tracking.repetition import repetitions
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.rotation_search import rotated_starts, wide_camera
@@ -212,7 +212,8 @@ class DenseTracker(MovingTracker):
             further = self._further_starts(task, start, results, proposals)
             for T_map_camera, levels in further:
                 nearby = self._render(task, T_map_camera)
-                results.append(self._align(task, nearby, T_map_camera, levels))
+                found = self._align(task, nearby, T_map_camera, levels)
+                results.append(unless_contradicted(task, found, reach))
         likely = max(results, key=by_evidence)
         if reach is not None and likely.health is Health.GOOD:
             for T_map_camera in repetitions(task, view, likely.T_map_camera, reach):

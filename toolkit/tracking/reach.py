@@ -20,6 +20,8 @@ from toolkit.tracking.views import Task
 # Poses that are farther apart (`Task.distance`) are different ones, and explain a frame equally
 # well if the likeness, and what is visible of it, are these fractions of those at the best one.
 _ANOTHER, _AS_GOOD, _AS_MUCH = 0.04, 0.95, 0.75
+# Distance from the pose of the features of a pose that is elsewhere.
+_ELSEWHERE = 0.3
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,20 @@ def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None
     if not others or (reach.contains(nearest.T_map_camera) and not possible):
         return nearest
     return replace(doubted(nearest, "what it shows repeats: several poses fit"), ambiguous=True)
+
+
+def unless_contradicted(task: Task, result: TrackingResult, reach: Reach | None) -> TrackingResult:
+    """The result, or a lost one if the camera cannot have reached it and the features moved on.
+
+    The next stretch of a corridor, and the same one seen the other way, look like this one.
+    """
+    features, T_map_camera = task.features, result.T_map_camera
+    if features is None or features.motions is not None or reach is None:
+        return result
+    near = task.distance(features.T_map_camera, T_map_camera) < _ELSEWHERE
+    if near or reach.contains(T_map_camera):
+        return result
+    return replace(result, health=Health.LOST, reason="features were followed to another place")
 
 
 def _fits_as_well(result: TrackingResult, best: TrackingResult) -> bool:
