@@ -106,3 +106,23 @@ def test_few_frames_and_large_steps_are_not_used(stamps):
 def test_only_certain_readouts_are_undone(change, certain):
     assert (replace(FOUND, **change).certain_readout_s > 0) == certain
     assert not ShutterEstimate().certain_readout_s
+
+
+def test_a_readout_of_about_the_period_is_undone():
+    long = replace(FOUND, readout_s=0.0345)
+    assert long.certain_readout_s == long.period_s
+    assert replace(long, readout_s=0.036).certain_readout_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("estimate", "sigma_s"),
+    [
+        (FOUND, 0.001),
+        (replace(FOUND, readout_sigma_s=0.006, readout_s=0.008), 0.01),
+        (replace(FOUND, readout_sigma_s=0.012), 0.019),
+        (ShutterEstimate(fault="too few"), 0.019),
+        (ShutterEstimate(0.0, 0.0001), 0.0001),
+    ],
+)
+def test_what_is_not_known_of_the_readout(estimate, sigma_s):
+    assert estimate.remaining_sigma_s == pytest.approx(sigma_s)
