@@ -108,12 +108,6 @@ def test_only_certain_readouts_are_undone(change, certain):
     assert not ShutterEstimate().certain_readout_s
 
 
-def test_a_readout_of_about_the_period_is_undone():
-    long = replace(FOUND, readout_s=0.0345)
-    assert long.certain_readout_s == long.period_s
-    assert replace(long, readout_s=0.036).certain_readout_s == 0.0
-
-
 @pytest.mark.parametrize(
     ("estimate", "sigma_s"),
     [

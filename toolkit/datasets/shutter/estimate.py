@@ -36,8 +36,6 @@ _HALF_WEIGHT = 8.0
 # A readout is undone if it is that many standard deviations long, and has an effect.
 _CERTAIN = 4.0
 _MIN_READOUT_S = 0.005
-# A readout is too long if it is longer than the time between frames by more standard deviations.
-_ERRORS = 2.0
 # Root mean square of readouts between 0 and 33 ms.
 _UNKNOWN_READOUT_S = 0.019
 
@@ -77,9 +75,8 @@ class ShutterEstimate:
         certain = _CERTAIN * self.readout_sigma_s <= self.readout_s
         # A sensor starts its next image after the last row; a longer readout follows from wrong
         # times of the frames.
-        shortest_s = self.readout_s - _ERRORS * self.readout_sigma_s
-        possible = self.readout_s >= _MIN_READOUT_S and shortest_s <= self.period_s
-        return min(self.readout_s, self.period_s) if certain and possible else 0.0
+        possible = _MIN_READOUT_S <= self.readout_s <= self.period_s
+        return self.readout_s if certain and possible else 0.0
 
     @property
     def remaining_sigma_s(self) -> float:
