@@ -27,7 +27,9 @@ from toolkit.runs.execution import run
 from toolkit.runs.finished import load_run
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.length_unit import LengthUnit
+from toolkit.slam.result import FrameResult
 from toolkit.synthetic_rooms import tiny_room
+from toolkit.tracking.result import not_tracked
 
 FRAMES, SIZE = 8, (80, 60)
 
@@ -207,3 +209,12 @@ def test_the_near_plane_of_a_small_scene_is_nearer():
     dataset_frame: Frame = tiny_room(1, *SIZE)[0][0]
     assert Frustum(dataset_frame.camera, np.eye(4), far_m=4.0).near_m == 0.1
     assert Frustum(dataset_frame.camera, np.eye(4), far_m=0.05).near_m == pytest.approx(0.005)
+
+
+def test_the_covariance_of_a_frame_is_in_metres():
+    unit = LengthUnit(10.0)
+    tracking = replace(not_tracked(""), covariance=np.eye(6), information=np.eye(6))
+    result = unit.frame_result_in_metres(FrameResult(0, None, tracking))
+    assert result.tracking is not None and result.tracking.covariance is not None
+    np.testing.assert_allclose(np.diag(result.tracking.covariance), [0.01] * 3 + [1.0] * 3)
+    np.testing.assert_allclose(np.diag(result.tracking.information), [100.0] * 3 + [1.0] * 3)

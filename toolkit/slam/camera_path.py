@@ -182,10 +182,7 @@ class CameraPath:
         moved = np.zeros(6) if velocity is None else velocity * elapsed_s
         metres, radians = np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])
         if metres > _MOVED_M or radians > _MOVED_RAD:
-            doubt = (
-                f"its images are those of frame {first.index}, and the camera may have moved by "
-                f"{100 * metres:.0f} cm and {np.degrees(radians):.0f} degrees since"
-            )
+            doubt = f"its images are those of frame {first.index}, and the camera has moved on"
         self._append_last(frame, doubt, repeats=True)
         self._covariances[-1] = self._covariances[-1] + np.outer(moved, moved)
         return doubt

@@ -204,7 +204,15 @@ class LengthUnit:
             T_map_camera=self.pose_in_metres(tracking.T_map_camera),
             depth_residual_m=tracking.depth_residual_m / self.per_metre,
             information=self._information(tracking.information),
+            covariance=None
+            if tracking.covariance is None
+            else self._covariance(tracking.covariance),
         )
+
+    def _covariance(self, covariances: Array) -> Array:
+        """Covariances [..., 6, 6] in metres."""
+        scales = np.array([1.0 / self.per_metre] * 3 + [1.0] * 3)
+        return covariances * np.outer(scales, scales)
 
     def _information(self, information: Array) -> Array:
         scales = np.array([self.per_metre] * 3 + [1.0] * 3)
@@ -240,8 +248,7 @@ class LengthUnit:
     def _frames(self, frames: TrackedFrames) -> TrackedFrames:
         covariances = frames.covariances
         if covariances is not None:
-            scales = np.array([1.0 / self.per_metre] * 3 + [1.0] * 3)
-            covariances = covariances * np.outer(scales, scales)
+            covariances = self._covariance(covariances)
         trajectory = self._metres.trajectory(frames.trajectory)
         return replace(frames, trajectory=trajectory, covariances=covariances)
 
