@@ -99,7 +99,7 @@ class CameraPath:
         doubt = tracking.reason if tracking is not None and tracking.doubtful else ""
         self.unreliable_in_a_row = self.unreliable_in_a_row + 1 if doubt else 0
         covariance = by_view(frame, tracking)
-        if covariance.any() and self._frames:
+        if frame.readout_sigma_s > 0.0 and self._frames and covariance.any():
             covariance = covariance + by_shutter(
                 frame, self._last_motion(frame, atlas, T_submap_camera)
             )
