@@ -163,12 +163,15 @@ class CameraPath:
         self._append_last(frame, self._frames[-1].doubt)
         return True
 
-    def repeats(self, frame: Frame) -> bool:
+    def repeats(self, fingerprint: int) -> bool:
         """Whether a frame shows the images of the newest frame with a pose again, to the bit.
 
         Noise makes the images of any sensor differ: these were stored or sent twice.
+
+        Args:
+            fingerprint: `fingerprint` of the frame as it was recorded.
         """
-        return not self._is_lost and self._frames[-1].fingerprint == fingerprint(frame)
+        return not self._is_lost and self._frames[-1].fingerprint == fingerprint
 
     def add_repeated(self, frame: Frame, atlas: Atlas) -> str:
         """Add a frame that repeats the images of the newest one, at its pose.
@@ -189,9 +192,8 @@ class CameraPath:
 
     def _append_last(self, frame: FrameStamp, doubt: str, repeats: bool = False) -> None:
         """Add a frame at the pose of the newest one."""
-        newest = self._frames[-1]
-        last = replace(newest, index=frame.index, timestamp_s=frame.timestamp_s, steps=0)
-        self._frames.append(replace(last, doubt=doubt, repeats=repeats))
+        last = replace(self._frames[-1], index=frame.index, timestamp_s=frame.timestamp_s)
+        self._frames.append(replace(last, doubt=doubt, steps=0, repeats=repeats))
         self._T_keyframe_camera.append(self._T_keyframe_camera[-1])
         self._covariances.append(self._covariances[-1])
 

@@ -195,10 +195,10 @@ class Slam:
 
     def _processed(self, frame: Frame, may_map: bool) -> FrameResult:
         """Track and map a frame, in the unit of the system."""
-        known = self._known(frame)
+        recorded = fingerprint(frame)
+        known = self._known(frame, recorded)
         if known is not None:
             return known
-        recorded = fingerprint(frame)
         if self._carrier is not None:
             submap = self.atlas.current if self.atlas.has_active_submap else None
             frame = self._carrier.of(frame, submap)
@@ -249,15 +249,18 @@ class Slam:
             submap=self.atlas.active,
         )
 
-    def _known(self, frame: Frame) -> FrameResult | None:
+    def _known(self, frame: Frame, recorded: int) -> FrameResult | None:
         """The result of a frame that need not be tracked: an unusable one, or the last one again.
 
         Where poses are given, equal images do not matter.
+
+        Args:
+            recorded: fingerprint of its images.
         """
         if unusable := frame.fault or self._path.disorder(frame):
             self._path.add_lost(frame, unusable, tried=False)
             return FrameResult(frame.index, None, not_tracked(unusable))
-        if isinstance(self.tracker, MovingTracker) and self._path.repeats(frame):
+        if isinstance(self.tracker, MovingTracker) and self._path.repeats(recorded):
             return self._like_last(frame, self._path.add_repeated(frame, self.atlas))
         return None
 

@@ -107,10 +107,11 @@ class KeyframePlacement:
             similarity = self._similarity(recent[-1], new, T_map_camera)
             better = is_clear(similarity, _MIN_RECENT) and quality(similarity) > enough
             jump = _distance(new.T_map_camera, T_map_camera)
-            if T_by_features is not None:
-                agrees = _distance(T_by_features, T_map_camera) < _NEARER * jump
-                jump += _JUMP * agrees
-            if better and jump > _JUMP:
+            agrees = (
+                T_by_features is not None
+                and _distance(T_by_features, T_map_camera) < _NEARER * jump
+            )
+            if better and (agrees or jump > _JUMP):
                 return T_map_camera
         return new.T_map_camera
 
@@ -163,7 +164,7 @@ class KeyframePlacement:
 
 def _distance(T_first: Array, T_second: Array) -> float:
     """Distance of two poses [4, 4]."""
-    motion = np.abs(se3.log(se3.inverse(T_first) @ T_second)) / UNITS
+    motion = se3.log(se3.inverse(T_first) @ T_second) / UNITS
     return max(float(np.linalg.norm(part)) for part in (motion[:3], motion[3:]))
 
 
