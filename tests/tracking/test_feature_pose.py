@@ -27,7 +27,8 @@ def seen(T_map_camera: Array, depth_m: Array, noise_px: float = 0.1, seed: int =
     rays = np.column_stack([(px - [79.5, 59.5]) / 150.0, np.ones(len(px))])
     points = se3.transform_points(LAST, rays * depth_m[:, None])
     now = projected(CAMERA, points, T_map_camera) + noise_px * rng.standard_normal(px.shape)
-    return Observations(CAMERA, points, now, now - px, np.tile(np.eye(2), (len(px), 1, 1)))
+    weights, certain = np.tile(np.eye(2), (len(px), 1, 1)), np.ones(len(px), bool)
+    return Observations(CAMERA, points, now, now - px, weights, certain)
 
 
 def depths(count: int = 120) -> Array:

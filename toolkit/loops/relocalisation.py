@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +16,12 @@ from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import SimilarKeyframe
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.options import RelocalisationOptions
+from toolkit.mapping.keyframes import view_motions
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
+from toolkit.tracking.evidence import likeness
 from toolkit.tracking.health import has_depth
+from toolkit.tracking.reach import Reach
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tracker import LocatingTracker
 
@@ -42,27 +46,12 @@ class Relocalisation:
         return self.result.T_map_camera
 
 
-@dataclass(frozen=True, eq=False)
-class LastPosition:
-    """Timestamp and position of the last tracked frame.
-
-    Attributes:
-        timestamp_s: seconds.
-        position: [3] in the world frame, metres.
-        part: numbers of the submaps whose poses relative to this position are known.
-    """
-
-    timestamp_s: float
-    position: NDArray[np.float64]
-    part: tuple[int, ...]
-
-
 # Number of most similar keyframes that are matched with the frame, and number retrieved for each of
 # them, before those out of reach are removed.
 _TRIES, _POOL_FACTOR = 5, 4
-# Assumed maximum speed of the camera, and distance added to its reach. Of two rooms that look the
-# same, it can only have reached the nearer one.
-_SPEED_M_S, _SLACK_M = 2.0, 2.0
+# Poses farther apart are different places, and a frame may be at either of them if its likeness at
+# one is this fraction of that at the other one.
+_APART_M, _APART_RAD, _AS_ALIKE = 0.3, 0.3, 0.95
 # Maximum robust scale of the photometric residuals, for intensities in [0, 1]: less than for a
 # tracked frame, since no neighbouring frame confirms the pose.
 _MAX_INTENSITY_RESIDUAL = 0.1
@@ -82,22 +71,26 @@ class Relocaliser:
         frame: Frame,
         atlas: Atlas,
         tracker: LocatingTracker,
-        last: LastPosition | None = None,
-        anywhere: bool = True,
+        reach: Reach | None = None,
+        unknown_m: Sequence[float] | None = None,
     ) -> Relocalisation | None:
-        """Align the frame to the submaps of similar keyframes; returns the first success.
+        """Align the frame to the submaps of similar keyframes; returns the best result.
+
+        None if the frame looks the same at different places that the camera can have reached: what
+        repeats does not tell where it is.
 
         Args:
             frame: lost frame.
             atlas: submaps to search.
             tracker: aligns the frame to a submap.
-            last: last known position of the camera, None if unknown.
-            anywhere: False restricts the search to keyframes in reach of that position. True adds
-                those of other parts of the map, whose distance is unknown.
+            reach: where the camera may be in the world, None if unknown.
+            unknown_m: how far each submap may be from its place in the world, by number; None
+                restricts the search to those that reach contains for certain.
         """
         if not has_depth(frame):
             return None
-        for match in self._matches(frame, atlas, last, anywhere):
+        results = []
+        for match in self._matches(frame, atlas, reach, unknown_m):
             try:
                 submap = atlas.submap(match.submap)
             except ToolkitError as error:
@@ -107,27 +100,27 @@ class Relocaliser:
             for keyframe in submap.keyframes:
                 if keyframe.index == match.frame:
                     found = self._align(frame, keyframe, submap, tracker)
-                    if found is not None:
-                        return found
-        return None
+                    results += [] if found is None else [found]
+        return _only_place(atlas, results)
 
     def _matches(
-        self, frame: Frame, atlas: Atlas, last: LastPosition | None, anywhere: bool
+        self,
+        frame: Frame,
+        atlas: Atlas,
+        reach: Reach | None,
+        unknown_m: Sequence[float] | None,
     ) -> list[SimilarKeyframe]:
-        """Keyframes similar to a frame: those in reach first, then those of other parts.
+        """The keyframes most similar to a frame, of those in reach.
 
         A frame that looks like a place out of reach shows another place that looks the same, or a
-        recording with a cut. A submap of unknown position is right for both: its loops are
-        verified with all of its keyframes.
+        recording with a cut. A submap of unknown position is right for both.
         """
         view = Keyframe.from_frame(frame, np.eye(4))
-        if last is None:
+        if reach is None:
             return self._detector.most_similar(view, _TRIES)
-        reach_m = _SLACK_M + _SPEED_M_S * abs(frame.timestamp_s - last.timestamp_s)
         found = self._detector.most_similar(view, _POOL_FACTOR * _TRIES)
-        near = [s for s in found if _distance_m(s, atlas, last) <= reach_m][:_TRIES]
-        others = [s for s in found[:_TRIES] if s.submap not in last.part]
-        return near + [s for s in others if anywhere and s not in near]
+        metres = reach.metres + np.array([0.0] * len(atlas) if unknown_m is None else unknown_m)
+        return [s for s in found if _distance_m(s, atlas, reach) <= metres[s.submap]][:_TRIES]
 
     def _align(
         self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker
@@ -150,10 +143,30 @@ def is_found(result: TrackingResult, options: RelocalisationOptions) -> bool:
     )
 
 
-def _distance_m(match: SimilarKeyframe, atlas: Atlas, last: LastPosition) -> float:
-    """Distance from the last camera position to a keyframe, metres; infinite if unknown."""
+def _only_place(atlas: Atlas, results: Sequence[Relocalisation]) -> Relocalisation | None:
+    """The likeliest result; None without any, or if another place looks like the frame, too."""
+    if not results:
+        return None
+    ordered = sorted(results, key=_likeness, reverse=True)
+    best = ordered[0]
+    T_best = atlas.T_world_submap(best.submap) @ best.T_submap_camera
+    for other in ordered[1:]:
+        T_other = atlas.T_world_submap(other.submap) @ other.T_submap_camera
+        metres, radians = view_motions([T_best], T_other)
+        apart = metres[0] > _APART_M or radians[0] > _APART_RAD
+        if apart and _likeness(other) > _AS_ALIKE * _likeness(best):
+            return None
+    return best
+
+
+def _likeness(found: Relocalisation) -> float:
+    return likeness(found.result.similarity)
+
+
+def _distance_m(match: SimilarKeyframe, atlas: Atlas, reach: Reach) -> float:
+    """Distance from the likeliest camera position to a keyframe, metres; infinite if unknown."""
     T_submap_keyframe = atlas.keyframe_poses(match.submap).get(match.frame)
     if T_submap_keyframe is None:
         return float("inf")
     T_world_keyframe = atlas.T_world_submap(match.submap) @ T_submap_keyframe
-    return float(np.linalg.norm(T_world_keyframe[:3, 3] - last.position))
+    return float(np.linalg.norm((T_world_keyframe - reach.T_map_camera)[:3, 3]))

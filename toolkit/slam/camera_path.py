@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 from zlib import crc32
@@ -15,10 +15,10 @@ from toolkit.frame import Frame, FrameStamp
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.closing.uncertainty import PathPose
-from toolkit.loops.relocalisation import LastPosition
 from toolkit.slam.frame_covariance import by_shutter, by_view
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
+from toolkit.tracking.reach import Reach
 from toolkit.tracking.result import TrackingResult, exposure_of
 from toolkit.tracking.rolling_shutter import MAX_GAP_S, steady_velocity
 
@@ -32,6 +32,11 @@ _VELOCITY_S = 0.12
 _MAX_RECENT = 16
 # Motion since the first of several equal images from which their pose is wrong.
 _MOVED_M, _MOVED_RAD = 0.05, 0.035
+# How far the camera can have moved while it was lost, and how wrong the pose of a frame that was
+# doubtful for so long can be, in metres and radians per second; and both from the start.
+_LOST_M_S, _LOST_RAD_S = 2.0, 4.0
+_DOUBTFUL_M_S, _DOUBTFUL_RAD_S = 0.8, 0.6
+_ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
 # Every so many rows are compared.
 _EVERY = 16
 
@@ -285,18 +290,22 @@ class CameraPath:
         poses.append(atlas.T_world_submap(atlas.active) @ T_submap_camera)
         return steady_velocity(poses[-2:], [times_s[-1], frame.timestamp_s])
 
-    def last_position(self, atlas: Atlas, parts: Sequence[tuple[int, ...]]) -> LastPosition | None:
-        """Time and position in the world frame of the newest frame; None without frames.
+    def reach(self, atlas: Atlas, frame: FrameStamp) -> Reach | None:
+        """Where the camera may be in the world at the next frame; None without frames.
 
-        Args:
-            parts: submaps with known relative poses (`LoopClosing.parts`).
+        That is around its newest pose, the farther the longer it has been lost, and the longer it
+        was doubtful before.
         """
         if not self._frames:
             return None
         number, T_submap_camera = self.last_pose(atlas)
         T_world_camera = atlas.T_world_submap(number) @ T_submap_camera
-        part = next(part for part in parts if number in part)
-        return LastPosition(self._frames[-1].timestamp_s, T_world_camera[:3, 3], part)
+        last_s, reliable_s = self._frames[-1].timestamp_s, self.last_reliable_s
+        lost_s = frame.timestamp_s - last_s
+        doubtful_s = last_s - (self._frames[0].timestamp_s if reliable_s is None else reliable_s)
+        metres = _ANYHOW_M + _LOST_M_S * lost_s + _DOUBTFUL_M_S * doubtful_s
+        radians = _ANYHOW_RAD + _LOST_RAD_S * lost_s + _DOUBTFUL_RAD_S * doubtful_s
+        return Reach(T_world_camera, metres, radians)
 
     def poses_in_submaps(self, atlas: Atlas) -> list[Array]:
         """T_submap_camera [4, 4] of each frame, in its own submap."""

@@ -24,6 +24,7 @@ from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.confirmation import shows_same_place
 from toolkit.tracking.health import has_depth
+from toolkit.tracking.reach import Reach
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tracker import LocatingTracker, PartTracker
 
@@ -112,13 +113,10 @@ class Recovery:
             return Located(None, lost)
         out_of_patience = self.out_of_patience(frame)
         with self._recorder.timed(Stage.RELOCALISATION):
-            parts = self._closer.parts(self._atlas)
-            last = self._path.last_position(self._atlas, parts)
-            found = None
+            reach, found = self._path.reach(self._atlas, frame), None
             if not lost.ambiguous:
-                found = relocaliser.find(
-                    frame, self._atlas, tracker, last, anywhere=out_of_patience
-                )
+                unknown_m = self._closer.unknown_m(self._atlas) if out_of_patience else None
+                found = relocaliser.find(frame, self._atlas, tracker, reach, unknown_m)
         active = self._atlas.active if self._atlas.has_active_submap else None
         if found is not None and found.submap == active:
             tracker.continue_from(frame.timestamp_s, found.T_submap_camera)
@@ -133,7 +131,7 @@ class Recovery:
             place = self._path.last_pose(self._atlas)
         else:
             place = found.submap, found.T_submap_camera
-        self._start_submap(frame, found, place)
+        self._start_submap(frame, found, place, reach)
         _log.warning(
             "Started submap %d at frame %d: %s.",
             self._atlas.active,
@@ -158,7 +156,7 @@ class Recovery:
             return Located(None, replace(lost, reason="its part of the map has not started"))
         active = self._atlas.active
         T_active_world = se3.inverse(self._atlas.T_world_submap(active))
-        self._start_submap(frame, None, (active, T_active_world @ T_world_camera))
+        self._start_submap(frame, None, (active, T_active_world @ T_world_camera), None)
         _log.warning(
             "Started submap %d at frame %d, in another part of the motion.",
             self._atlas.active,
@@ -195,13 +193,18 @@ class Recovery:
             self._unreliable = Frame(values["index"], values["timestamp_s"], rgb, depth_m, camera)
 
     def _start_submap(
-        self, frame: Frame, found: Relocalisation | None, place: tuple[int, NDArray[np.float64]]
+        self,
+        frame: Frame,
+        found: Relocalisation | None,
+        place: tuple[int, NDArray[np.float64]],
+        reach: Reach | None,
     ) -> None:
         """Start a submap at a frame.
 
         Args:
             found: the relocalisation of the frame; None if its pose is not known by one.
             place: submap and T_submap_camera [4, 4] where it starts.
+            reach: where the camera may be in the world; None if that is unknown.
         """
         atlas = self._atlas
         exposure = IDENTITY if found is None else found.result.exposure
@@ -210,4 +213,4 @@ class Recovery:
         ended = atlas.active
         with self._recorder.timed(Stage.MAPPING):
             start_at(atlas, self._mapper, anchor, place, inherit=found is not None)
-        self._closer.submap_recovered(atlas, ended, found)
+        self._closer.submap_recovered(atlas, ended, found, reach)

@@ -169,7 +169,8 @@ class DenseTracker(MovingTracker):
             self._landmarks.undo()
         else:
             with self._recorder.timed(Stage.TRACKING_FEATURES):
-                self._landmarks.extend(self._newest, result.T_map_camera)
+                certain = result.health is Health.GOOD
+                self._landmarks.extend(self._newest, result.T_map_camera, certain)
         return result
 
     def locate(

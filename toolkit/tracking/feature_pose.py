@@ -71,11 +71,10 @@ class FeaturePose:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """A pose [4, 4], the errors [N] of features at it in pixels, and the normal equations' H."""
+    """A pose [4, 4] and the errors [N] of features at it in pixels."""
 
     T_map_camera: Array
     errors: Array
-    H: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +86,7 @@ class Observations:
         points: [N, 3] in the map.
         px: [N, 2] where they are in the frame. flow: [N, 2] their motion since the last frame.
         weights: [N, 2, 2] relative information about their places, 1 for sharp corners.
+        certain: [N] which points are right; the others tell nothing about the pose in the map.
     """
 
     camera: Camera
@@ -94,6 +94,7 @@ class Observations:
     px: Array
     flow: Array
     weights: Array
+    certain: Mask
 
     def pose(self, starts: Sequence[Array]) -> FeaturePose | None:
         """The pose of the frame; None if too few features fit one.
@@ -114,12 +115,13 @@ class Observations:
             return None
         spread = float(np.sqrt(np.mean(found.errors[fits] ** 2) / 2.0))
         sigma = min(max(spread, _MIN_SIGMA_PX), _MAX_SIGMA_PX)
-        information = self._certain(one) * (SIGMA_PX / sigma) ** 2
+        information = self._of(self.certain)._information(one.T_map_camera)
+        information *= (SIGMA_PX / sigma) ** 2
         return FeaturePose(found.T_map_camera, information, fits, motions)
 
     def _motion(self, T_map_camera: Array, sigmas_px: Sequence[float]) -> _Motion:
         """The pose that minimises the errors under Student's t distribution, by its scales."""
-        T, H = T_map_camera, np.zeros((6, 6))
+        T = T_map_camera
         for sigma in sigmas_px:
             # Derivatives hardly change with the pose. At a scale, they are those of its start.
             J = self._derivatives(T)
@@ -134,16 +136,16 @@ class Observations:
                 if size < _SMALL_STEP * sigma / SIGMA_PX:
                     break
         T = se3.orthonormalise(T)
-        return _Motion(T, self._errors(T), H)
+        return _Motion(T, self._errors(T))
 
-    def _certain(self, motion: _Motion) -> Array:
-        """The normal equations' H without what errors in the directions of edges pretend."""
+    def _information(self, T_map_camera: Array) -> Array:
+        """Information [6, 6] at a pose, without what errors in the directions of edges pretend."""
+        J, squares = self._derivatives(T_map_camera), self._residuals(T_map_camera)[1]
+        robust = (STUDENT_T_DOF + 2) / (STUDENT_T_DOF * SIGMA_PX**2 + np.tile(squares, 2))
         strength = np.trace(self.weights, axis1=1, axis2=2)[:, None, None]
-        everywhere = replace(self, weights=strength * np.eye(2))
-        J = everywhere._derivatives(motion.T_map_camera)
-        squares = np.concatenate([motion.errors, motion.errors]) ** 2
-        robust = (STUDENT_T_DOF + 2) / (STUDENT_T_DOF * SIGMA_PX**2 + squares)
-        values, axes = np.linalg.eigh(motion.H - _DIRECTION_RAD**2 * (J.T @ (J * robust[:, None])))
+        everywhere = replace(self, weights=strength * np.eye(2))._derivatives(T_map_camera)
+        pretended = _DIRECTION_RAD**2 * everywhere.T @ (everywhere * robust[:, None])
+        values, axes = np.linalg.eigh(J.T @ (J * robust[:, None]) - pretended)
         return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
     def _residuals(self, T_map_camera: Array) -> tuple[Array, Array]:
@@ -187,8 +189,9 @@ class Observations:
 
     def _of(self, mask: Mask) -> Observations:
         """The features of a mask [N]."""
-        kept = (a[mask] for a in (self.points, self.px, self.flow, self.weights))
-        return Observations(self.camera, *kept)
+        points, px, flow = self.points[mask], self.px[mask], self.flow[mask]
+        weights, certain = self.weights[mask], self.certain[mask]
+        return Observations(self.camera, points, px, flow, weights, certain)
 
     def _standing_or_moving(
         self, moving: _Motion, T_last: Array
@@ -239,7 +242,7 @@ class Observations:
                 self._of(group)._motion(motion.T_map_camera, (SIGMA_PX,)).T_map_camera
                 for group, motion in zip(groups, motions, strict=True)
             ]
-            motions = [_Motion(T, self._errors(T), one.H) for T in poses]
+            motions = [_Motion(T, self._errors(T)) for T in poses]
             first = motions[0].errors < motions[1].errors
         better = np.minimum(motions[0].errors, motions[1].errors)
         shares = [float((group & (better < _EXPLAINED_PX)).mean()) for group in (first, ~first)]

@@ -42,6 +42,7 @@ class Landmarks:
         self._ids = np.zeros(0, np.int64)
         self._corrected = 0
         self._points, self._weights = np.zeros((0, 3)), np.zeros((0, 2, 2))
+        self._certain = np.zeros(0, bool)
         self._before: tuple[Image, Features] | None = None
         if frame is not None and T_map_camera is not None:
             self.extend(frame, T_map_camera)
@@ -62,19 +63,25 @@ class Landmarks:
         features = self._tracks.follow(_grey(frame), guesses)
         rows = np.searchsorted(self._ids, features.ids)
         flow = features.px - before.px[np.searchsorted(before.ids, features.ids)]
-        points, weights = self._points[rows], self._weights[rows]
-        pose = Observations(frame.camera, points, features.px, flow, weights).pose(starts)
+        points, weights, certain = self._points[rows], self._weights[rows], self._certain[rows]
+        seen = Observations(frame.camera, points, features.px, flow, weights, certain)
+        pose = seen.pose(starts)
         if pose is not None:
             self._tracks.keep(pose.fits)
         return pose
 
-    def extend(self, frame: FrameLevel, T_map_camera: Array) -> None:
+    def extend(self, frame: FrameLevel, T_map_camera: Array, certain: bool = True) -> None:
         """Find new features in the frame that was located last, if many were lost.
 
         Args:
             T_map_camera: [4, 4] its pose.
+            certain: whether it is right. The features of a doubtful frame are followed, but tell
+                only how the camera moved since then; they go when a frame is certain again.
         """
         before = self._tracks.features
+        if certain:
+            self._tracks.keep(self._certain[np.searchsorted(self._ids, before.ids)])
+            before = self._tracks.features
         if not len(before):
             self._tracks.continue_from(_grey(frame), NO_FEATURES)
         elif len(before) > _MIN_KEPT * _COUNT:
@@ -92,6 +99,7 @@ class Landmarks:
         points = se3.transform_points(T_map_camera, rays * depth[:, None])
         self._points = np.concatenate([self._points[kept], points])
         self._weights = np.concatenate([self._weights[kept], _information(image, px)])
+        self._certain = np.concatenate([self._certain[kept], np.full(len(px), certain)])
 
     def undo(self) -> None:
         """Forget the frame that was located last: the next one is compared with that before."""
@@ -111,13 +119,14 @@ class Landmarks:
     def state(self) -> dict[str, NDArray]:
         """Arrays from which `restore` continues identically."""
         own = {"landmarks": self._ids, "points": self._points, "weights": self._weights}
-        return self._tracks.state() | own | {"corrected": np.array(self._corrected)}
+        own |= {"certain": self._certain, "corrected": np.array(self._corrected)}
+        return self._tracks.state() | own
 
     def restore(self, state: Mapping[str, NDArray]) -> None:
         """Restore an earlier `state`."""
         self._tracks.restore(state)
-        self._ids, self._points, self._weights = (
-            np.array(state[name]) for name in ("landmarks", "points", "weights")
+        self._ids, self._points, self._weights, self._certain = (
+            np.array(state[name]) for name in ("landmarks", "points", "weights", "certain")
         )
         self._corrected = int(state["corrected"])
 

@@ -43,6 +43,7 @@ from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.mapping.mapper import Mapper
 from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.reach import Reach
 
 Array = NDArray[np.float64]
 
@@ -117,9 +118,11 @@ class LoopCloser:
         self._odometry.started(atlas, ended, information)
         self._submap_ended(atlas, ended)
 
-    def submap_recovered(self, atlas: Atlas, ended: int, found: Relocalisation | None) -> None:
+    def submap_recovered(
+        self, atlas: Atlas, ended: int, found: Relocalisation | None, reach: Reach | None = None
+    ) -> None:
         """Connect a submap that started at a lost frame, and close the previous submap's loops."""
-        self._connect(atlas, found)
+        self._connect(atlas, found, reach)
         self._submap_ended(atlas, ended)
         self.keyframe_added(atlas)
 
@@ -189,13 +192,13 @@ class LoopCloser:
             loops = KeyframeLoops(self._parts, self.options, self._record)
             return loops.close(atlas.current, mapper, candidates)
 
-    def _connect(self, atlas: Atlas, found: Relocalisation | None) -> None:
+    def _connect(self, atlas: Atlas, found: Relocalisation | None, reach: Reach | None) -> None:
         """Add the edges of a submap that started at a lost frame.
 
         Its odometry is interrupted, so its pose relative to the previous submap is uncertain. If
         the frame was relocalised in a submap, the relocalisation becomes a loop edge.
         """
-        self._odometry.started_lost(atlas, None if found is None else found.submap)
+        self._odometry.started_lost(atlas, None if found is None else found.submap, reach)
         new = atlas.active
         if found is None:
             return
@@ -317,6 +320,15 @@ class LoopCloser:
     def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
         """Submaps with known relative poses; see `LoopClosing`."""
         return connected_parts(range(len(atlas)), [*self._odometry.known, *self.loops])
+
+    def unknown_m(self, atlas: Atlas) -> list[float]:
+        """Uncertainty of each submap's place relative to the active one; see `LoopClosing`."""
+        own = next(part for part in self.parts(atlas) if atlas.active in part)
+        distance = self._odometry.distance_unknown_m
+        return [
+            0.0 if number in own else min(distance(number, mine) for mine in own)
+            for number in range(len(atlas))
+        ]
 
     def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array:
         """Covariances of frame poses; see `frame_covariances`."""

@@ -14,6 +14,7 @@ from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.mapping.mapper import Mapper
 from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.reach import Reach
 
 Array = NDArray[np.float64]
 
@@ -67,12 +68,15 @@ class LoopClosing(Protocol):
         """
         ...
 
-    def submap_recovered(self, atlas: Atlas, ended: int, found: Relocalisation | None) -> None:
+    def submap_recovered(
+        self, atlas: Atlas, ended: int, found: Relocalisation | None, reach: Reach | None = None
+    ) -> None:
         """A submap has started at a lost frame.
 
         Args:
             ended: number of the submap that was active before.
             found: the relocalisation of the frame; None if it failed.
+            reach: where the camera may be in the world; None if that is unknown.
         """
         ...
 
@@ -111,6 +115,13 @@ class LoopClosing(Protocol):
 
         Returns:
             The parts in the order of their first submaps.
+        """
+        ...
+
+    def unknown_m(self, atlas: Atlas) -> list[float]:
+        """How far each submap may be from its place relative to the active one, metres.
+
+        That is 0 within the active part, and grows with the time for which the camera was lost.
         """
         ...
 
@@ -156,7 +167,9 @@ class NoLoopClosing:
     def submap_started(self, atlas: Atlas, ended: int, information: Array) -> None:
         """Do nothing."""
 
-    def submap_recovered(self, atlas: Atlas, ended: int, found: Relocalisation | None) -> None:
+    def submap_recovered(
+        self, atlas: Atlas, ended: int, found: Relocalisation | None, reach: Reach | None = None
+    ) -> None:
         """Do nothing."""
 
     def enterable(self, atlas: Atlas) -> list[int]:
@@ -178,6 +191,10 @@ class NoLoopClosing:
     def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
         """All submaps are one part: without relocalisation, none starts at an unknown pose."""
         return [tuple(range(len(atlas)))]
+
+    def unknown_m(self, atlas: Atlas) -> list[float]:
+        """Nothing is uncertain."""
+        return [0.0] * len(atlas)
 
     def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
         """Covariances are unknown."""

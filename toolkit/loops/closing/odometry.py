@@ -22,11 +22,12 @@ from toolkit.loops.pose_graph.noise import OdometryNoise
 from toolkit.loops.relocalisation import Relocalisation
 from toolkit.mapping.keyframes import view_motions
 from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.reach import Reach
 
 Array = NDArray[np.float64]
 
-# Information of an unknown pose: standard deviations of 10 m and 3 rad.
-_UNKNOWN_POSE = np.diag([1.0 / 10.0**2] * 3 + [1.0 / 3.0**2] * 3)
+# Standard deviations of an unknown pose, metres and radians.
+_UNKNOWN_M, _UNKNOWN_RAD = 10.0, 3.0
 # Information between the submaps of a loaded map, whose relative poses are fixed.
 _RIGID = np.eye(6) * 1e9
 
@@ -39,6 +40,8 @@ class SubmapOdometry:
         ended: numbers of the submaps that have been left at least once.
         ways_back: edges from the newest submap to those entered since it was left, by number.
         origins: number of the submap in which each submap started, by number.
+        unknown_m: how far those that started at a lost frame may be from where the camera was, by
+            number. Their links only bound their poses.
     """
 
     def __init__(self, noise: OdometryNoise) -> None:
@@ -46,12 +49,13 @@ class SubmapOdometry:
         self.ended: set[int] = set()
         self.ways_back: dict[int, PoseEdge] = {}
         self.origins: dict[int, int] = {}
+        self.unknown_m: dict[int, float] = {}
         self._noise = noise
 
     @property
     def known(self) -> list[PoseEdge]:
         """The links but those that only bound an unknown pose."""
-        return [link for link in self.links if not np.array_equal(link.information, _UNKNOWN_POSE)]
+        return [link for link in self.links if link.second not in self.unknown_m]
 
     def map_loaded(self, atlas: Atlas) -> None:
         """Link the submaps of a loaded map, which is treated as rigid."""
@@ -75,19 +79,33 @@ class SubmapOdometry:
         self.ways_back, self.origins[new] = {}, where
         self.links.append(edge)
 
-    def started_lost(self, atlas: Atlas, where: int | None) -> None:
+    def started_lost(self, atlas: Atlas, where: int | None, reach: Reach | None) -> None:
         """Add the edge of the active submap, which started at a lost frame.
 
-        The odometry is interrupted, so the pose relative to the submap before is uncertain.
+        The odometry is interrupted, so the pose relative to the submap before is uncertain: as
+        much as the camera can have moved meanwhile. A loop with a place farther away is one with
+        another place that looks the same.
 
         Args:
             where: number of the submap in which the frame was relocalised, if it was.
+            reach: where the camera may be in the world; None if that is unknown.
         """
         new = atlas.active
         self.ways_back = {}
         if where is not None:
             self.origins[new] = where
-        self.links.append(PoseEdge(new - 1, new, _between(atlas, new - 1, new), _UNKNOWN_POSE))
+        T_world_camera = atlas.T_world_submap(new) if reach is None else reach.T_map_camera
+        T = se3.orthonormalise(se3.inverse(atlas.T_world_submap(new - 1)) @ T_world_camera)
+        metres = _UNKNOWN_M if reach is None else min(0.5 * reach.metres, _UNKNOWN_M)
+        radians = _UNKNOWN_RAD if reach is None else min(0.5 * reach.radians, _UNKNOWN_RAD)
+        information = np.diag([1.0 / metres**2] * 3 + [1.0 / radians**2] * 3)
+        self.links.append(PoseEdge(new - 1, new, T, information))
+        self.unknown_m[new] = 2.0 * metres
+
+    def distance_unknown_m(self, first: int, second: int) -> float:
+        """How much the distance of two submaps is unknown, if no loop connects them, metres."""
+        low, high = sorted((first, second))
+        return sum(metres for new, metres in self.unknown_m.items() if low < new <= high)
 
     def beside(self, number: int) -> set[int]:
         """The submap in which a submap started, and those that started in it."""
@@ -139,19 +157,23 @@ class SubmapOdometry:
         Args:
             path: the frames, in order.
         """
-        fixed = (_UNKNOWN_POSE, _RIGID)
         pairs = zip(self.links, measured_links(self.links, path, self._noise), strict=True)
         return [
             link
             if self.origins.get(link.second, link.first) != link.first  # with a way back
-            or any(np.array_equal(link.information, information) for information in fixed)
+            or link.second in self.unknown_m
+            or np.array_equal(link.information, _RIGID)
             else measured
             for link, measured in pairs
         ]
 
     def values(self) -> dict[str, Any]:
         """JSON values for `restore`; the edges are stored by the caller."""
-        return {"ended": sorted(self.ended), "origins": sorted(self.origins.items())}
+        return {
+            "ended": sorted(self.ended),
+            "origins": sorted(self.origins.items()),
+            "unknown": sorted(self.unknown_m.items()),
+        }
 
     def restore(
         self, links: Sequence[PoseEdge], ways_back: Sequence[PoseEdge], values: Mapping[str, Any]
@@ -159,6 +181,7 @@ class SubmapOdometry:
         """Restore an earlier state."""
         self.links, self.ways_back = list(links), {way.second: way for way in ways_back}
         self.origins = {int(new): int(where) for new, where in values["origins"]}
+        self.unknown_m = {int(new): float(metres) for new, metres in values["unknown"]}
         self.ended = set(values["ended"])
 
 
