@@ -7,13 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from toolkit.alignment.similarity import Similarity
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.loops import relocalisation
 from toolkit.loops.candidates import SimilarKeyframe
 from toolkit.loops.options import RelocalisationOptions
-from toolkit.loops.relocalisation import LastPosition, Relocaliser
+from toolkit.loops.relocalisation import Relocaliser
+from toolkit.tracking.reach import Reach
 from toolkit.tracking.result import Health
 
 CAMERA = Camera(20.0, 20.0, 7.5, 5.5, 16, 12)
@@ -59,20 +61,19 @@ def tried(monkeypatch):
     """Indices of the keyframes that a frame was matched with, in order; the matching fails."""
     indices: list[int] = []
     monkeypatch.setattr(relocalisation, "_TRIES", 2)
-    monkeypatch.setattr(relocalisation, "_SLACK_M", 1.5)
     monkeypatch.setattr(
         relocalisation, "measure_offset", lambda keyframe, *_: indices.append(keyframe.index)
     )
     return indices
 
 
-def last_at(timestamp_s, part=(0,)):
-    return LastPosition(timestamp_s, ORIGIN, part)
+def within(metres: float) -> Reach:
+    """The camera is near the keyframe of index 20: distances from it are `POSITIONS_M`."""
+    return Reach(at(1.0), metres, np.pi)
 
 
-def find(last, timestamp_s=0.0, anywhere=True, tracker=None):
-    relocaliser = Relocaliser(Detector())
-    return relocaliser.find(lost_frame(timestamp_s), Map(), tracker, last, anywhere)
+def find(reach, part=(0,), tracker=None):
+    return Relocaliser(Detector()).find(lost_frame(0.0), Map(), tracker, reach, part)
 
 
 def test_the_most_similar_keyframes_are_tried_alone(tried):
@@ -80,27 +81,74 @@ def test_the_most_similar_keyframes_are_tried_alone(tried):
     assert tried == [10, 20]
 
 
-# The keyframes' distances from the last position are those of `POSITIONS_M`.
-ORIGIN = np.array([1.0, 0.0, 0.0])
-
-
 @pytest.mark.parametrize(
-    ("elapsed_s", "expected"),
-    [(0.0, [20, 40]), (1.0, [20, 40]), (1.25, [20, 30]), (-1.25, [20, 30]), (3.75, [10, 20])],
+    ("metres", "expected"), [(1.5, [20, 40]), (4.0, [20, 30]), (9.0, [10, 20]), (-0.1, [])]
 )
-def test_the_reach_grows_with_time(tried, elapsed_s, expected):
-    find(last_at(100.0), 100.0 + elapsed_s, anywhere=False)
+def test_keyframes_out_of_reach_are_not_tried(tried, metres, expected):
+    find(within(metres))
     assert tried == expected
 
 
-def test_keyframes_out_of_reach_are_not_tried(tried):
-    find(last_at(100.0), 100.0)
-    assert tried == [20, 40]
+def test_keyframes_of_other_parts_are_not_tried(tried):
+    find(within(9.0), part=(7,))
+    assert tried == []
 
 
-def test_keyframes_of_other_parts_come_after_those_in_reach(tried):
-    find(last_at(100.0, part=(7,)), 100.0)
-    assert tried == [20, 40, 10]
+class Tracker:
+    """Finds a frame where it starts, or moved by a motion [4, 4]."""
+
+    def __init__(self, likenesses=(), T_moved=None, **changes):
+        values = {"health": Health.GOOD, "visible_fraction": 0.9, "intensity_residual": 0.02}
+        self.values, self.likenesses = values | changes, list(likenesses)
+        self.T_moved = np.eye(4) if T_moved is None else T_moved
+
+    def locate(self, frame, gaussians, start, search):
+        values = self.values | {"similarity": None}
+        if self.likenesses:
+            like = self.likenesses.pop(0)
+            values["similarity"] = Similarity(like, like, 100, 1.0, 1.0)
+        return SimpleNamespace(T_map_camera=start @ self.T_moved, **values)
+
+
+@pytest.fixture
+def near_each(monkeypatch):
+    """Matching finds every frame 25 cm beside each keyframe that it is matched with."""
+    monkeypatch.setattr(
+        relocalisation, "measure_offset", lambda *_: SimpleNamespace(T_first_second=at(0.25))
+    )
+
+
+@pytest.mark.parametrize(
+    ("likenesses", "position_m"),
+    [((0.9, 0.9), None), ((0.9, 0.88), None), ((0.9, 0.8), 9.25), ((0.8, 0.9), 0.25)],
+)
+def test_of_two_places_the_frame_must_look_like_one(near_each, likenesses, position_m, monkeypatch):
+    monkeypatch.setattr(relocalisation, "_TRIES", 2)
+    result = find(within(20.0), tracker=Tracker(likenesses))
+    assert (result is None) == (position_m is None)
+    if result is not None:
+        assert result.T_submap_camera[0, 3] == pytest.approx(position_m)
+
+
+@pytest.mark.parametrize("turned_rad", [0.0, 0.5])
+def test_keyframes_of_one_place_confirm_each_other(near_each, turned_rad, monkeypatch):
+    monkeypatch.setattr(relocalisation, "_TRIES", 2)
+    turns = iter([0.0, turned_rad])
+    monkeypatch.setattr(
+        relocalisation,
+        "measure_offset",
+        lambda keyframe, _: SimpleNamespace(
+            T_first_second=se3.inverse(keyframe.T_map_camera)
+            @ se3.exp(np.array([0.0, 0.0, 0.0, 0.0, next(turns), 0.0]))
+        ),
+    )
+    result = find(within(20.0), tracker=Tracker((0.9, 0.9)))
+    assert (result is not None) == (turned_rad == 0.0), "another direction is another place"
+
+
+def test_a_pose_out_of_reach_shows_a_place_that_looks_the_same(near_each):
+    assert find(within(1.5), tracker=Tracker()) is not None
+    assert find(within(1.5), tracker=Tracker(T_moved=at(3.0))) is None
 
 
 @pytest.mark.parametrize(
@@ -114,17 +162,8 @@ def test_keyframes_of_other_parts_come_after_those_in_reach(tried):
         ({"health": Health.DOUBTFUL}, False),
     ],
 )
-def test_only_reliable_poses_are_accepted(monkeypatch, changes, found):
-    T_first_second = at(0.25)
-    offset = SimpleNamespace(T_first_second=T_first_second)
-    monkeypatch.setattr(relocalisation, "measure_offset", lambda *_: offset)
-    values = {"health": Health.GOOD, "visible_fraction": 0.9, "intensity_residual": 0.02}
-
-    class Tracker:
-        def locate(self, frame, gaussians, start, search):
-            return SimpleNamespace(T_map_camera=start, **(values | changes))
-
-    result = find(None, tracker=Tracker())
+def test_only_reliable_poses_are_accepted(near_each, changes, found):
+    result = find(None, tracker=Tracker(**changes))
     assert (result is not None) == found
     if result is not None:
-        assert np.allclose(result.T_submap_camera, at(9.25))
+        assert result.T_submap_camera[0, 3] in (9.25, 0.25, 4.25, 1.25, 7.25)

@@ -72,7 +72,7 @@ class Relocaliser:
         atlas: Atlas,
         tracker: LocatingTracker,
         reach: Reach | None = None,
-        unknown_m: Sequence[float] | None = None,
+        part: Sequence[int] = (),
     ) -> Relocalisation | None:
         """Align the frame to the submaps of similar keyframes; returns the best result.
 
@@ -84,13 +84,15 @@ class Relocaliser:
             atlas: submaps to search.
             tracker: aligns the frame to a submap.
             reach: where the camera may be in the world, None if unknown.
-            unknown_m: how far each submap may be from its place in the world, by number; None
-                restricts the search to those that reach contains for certain.
+            part: numbers of the submaps whose poses relative to that are known. A frame that looks
+                like a place out of reach, or in another part, shows another place that looks the
+                same, or a recording with a cut. A submap of unknown position is right for both:
+                its loops are verified with all of its keyframes.
         """
         if not has_depth(frame):
             return None
         results = []
-        for match in self._matches(frame, atlas, reach, unknown_m):
+        for match in self._matches(frame, atlas, reach, part):
             try:
                 submap = atlas.submap(match.submap)
             except ToolkitError as error:
@@ -101,26 +103,25 @@ class Relocaliser:
                 if keyframe.index == match.frame:
                     found = self._align(frame, keyframe, submap, tracker)
                     results += [] if found is None else [found]
-        return _only_place(atlas, results)
+        places = [atlas.T_world_submap(one.submap) @ one.T_submap_camera for one in results]
+        return _only_place(
+            [
+                (one, T)
+                for one, T in zip(results, places, strict=True)
+                if reach is None or reach.contains(T)
+            ]
+        )
 
     def _matches(
-        self,
-        frame: Frame,
-        atlas: Atlas,
-        reach: Reach | None,
-        unknown_m: Sequence[float] | None,
+        self, frame: Frame, atlas: Atlas, reach: Reach | None, part: Sequence[int]
     ) -> list[SimilarKeyframe]:
-        """The keyframes most similar to a frame, of those in reach.
-
-        A frame that looks like a place out of reach shows another place that looks the same, or a
-        recording with a cut. A submap of unknown position is right for both.
-        """
+        """The keyframes most similar to a frame, of those in reach."""
         view = Keyframe.from_frame(frame, np.eye(4))
         if reach is None:
             return self._detector.most_similar(view, _TRIES)
         found = self._detector.most_similar(view, _POOL_FACTOR * _TRIES)
-        metres = reach.metres + np.array([0.0] * len(atlas) if unknown_m is None else unknown_m)
-        return [s for s in found if _distance_m(s, atlas, reach) <= metres[s.submap]][:_TRIES]
+        known = [s for s in found if s.submap in part]
+        return [s for s in known if _distance_m(s, atlas, reach) <= reach.metres][:_TRIES]
 
     def _align(
         self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker
@@ -143,15 +144,16 @@ def is_found(result: TrackingResult, options: RelocalisationOptions) -> bool:
     )
 
 
-def _only_place(atlas: Atlas, results: Sequence[Relocalisation]) -> Relocalisation | None:
-    """The likeliest result; None without any, or if another place looks like the frame, too."""
-    if not results:
+def _only_place(found: Sequence[tuple[Relocalisation, NDArray]]) -> Relocalisation | None:
+    """The likeliest result; None without any, or if another place looks like the frame, too.
+
+    Args:
+        found: results with the poses T_world_camera [4, 4].
+    """
+    if not found:
         return None
-    ordered = sorted(results, key=_likeness, reverse=True)
-    best = ordered[0]
-    T_best = atlas.T_world_submap(best.submap) @ best.T_submap_camera
-    for other in ordered[1:]:
-        T_other = atlas.T_world_submap(other.submap) @ other.T_submap_camera
+    best, T_best = max(found, key=lambda one: _likeness(one[0]))
+    for other, T_other in found:
         metres, radians = view_motions([T_best], T_other)
         apart = metres[0] > _APART_M or radians[0] > _APART_RAD
         if apart and _likeness(other) > _AS_ALIKE * _likeness(best):
@@ -167,6 +169,6 @@ def _distance_m(match: SimilarKeyframe, atlas: Atlas, reach: Reach) -> float:
     """Distance from the likeliest camera position to a keyframe, metres; infinite if unknown."""
     T_submap_keyframe = atlas.keyframe_poses(match.submap).get(match.frame)
     if T_submap_keyframe is None:
-        return float("inf")
+        return np.inf
     T_world_keyframe = atlas.T_world_submap(match.submap) @ T_submap_keyframe
     return float(np.linalg.norm((T_world_keyframe - reach.T_map_camera)[:3, 3]))

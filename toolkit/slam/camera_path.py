@@ -32,11 +32,8 @@ _VELOCITY_S = 0.12
 _MAX_RECENT = 16
 # Motion since the first of several equal images from which their pose is wrong.
 _MOVED_M, _MOVED_RAD = 0.05, 0.035
-# How far the camera can have moved while it was lost, and how wrong the pose of a frame that was
-# doubtful for so long can be, in metres and radians per second; and both from the start.
-_LOST_M_S, _LOST_RAD_S = 2.0, 4.0
-_DOUBTFUL_M_S, _DOUBTFUL_RAD_S = 0.8, 0.6
-_ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
+# A camera does not leave what it sees within this time.
+_CUT_S = 0.15
 # Every so many rows are compared.
 _EVERY = 16
 
@@ -78,6 +75,7 @@ class CameraPath:
         self.lost_frames: dict[int, str] = {}
         self.unreliable_in_a_row = 0
         self.dropped_frames: list[int] = []
+        self._cut = False
         self._frames: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[Array] = []
         self._covariances: list[Array] = []
@@ -103,6 +101,7 @@ class CameraPath:
         exposure = last.exposure if frame.index == last.index else exposure_of(tracking)
         doubt = tracking.reason if tracking is not None and tracking.doubtful else ""
         self.unreliable_in_a_row = self.unreliable_in_a_row + 1 if doubt else 0
+        self._cut = False
         covariance = by_view(frame, tracking)
         if frame.readout_sigma_s > 0.0 and self._frames and covariance.any():
             covariance = covariance + by_shutter(
@@ -138,7 +137,10 @@ class CameraPath:
             tried: whether the camera could have been located in this frame.
         """
         self.lost_frames[frame.index] = reason
-        self.unreliable_in_a_row += tried and has_depth(frame)
+        tried &= has_depth(frame)
+        self.unreliable_in_a_row += tried
+        if tried and self._frames and not self._frames[-1].doubt:
+            self._cut |= frame.timestamp_s - self._frames[-1].timestamp_s <= _CUT_S
 
     def disorder(self, frame: FrameStamp) -> str:
         """Why a frame cannot follow the newest frame with a pose in time; empty if it can."""
@@ -291,21 +293,18 @@ class CameraPath:
         return steady_velocity(poses[-2:], [times_s[-1], frame.timestamp_s])
 
     def reach(self, atlas: Atlas, frame: FrameStamp) -> Reach | None:
-        """Where the camera may be in the world at the next frame; None without frames.
+        """Where the camera may be in the world at the next frame.
 
-        That is around its newest pose, the farther the longer it has been lost, and the longer it
-        was doubtful before.
+        None without frames, and where nothing of a reliable frame is seen a moment later: the
+        recording was cut.
         """
-        if not self._frames:
+        if not self._frames or self._cut:
             return None
         number, T_submap_camera = self.last_pose(atlas)
         T_world_camera = atlas.T_world_submap(number) @ T_submap_camera
         last_s, reliable_s = self._frames[-1].timestamp_s, self.last_reliable_s
-        lost_s = frame.timestamp_s - last_s
         doubtful_s = last_s - (self._frames[0].timestamp_s if reliable_s is None else reliable_s)
-        metres = _ANYHOW_M + _LOST_M_S * lost_s + _DOUBTFUL_M_S * doubtful_s
-        radians = _ANYHOW_RAD + _LOST_RAD_S * lost_s + _DOUBTFUL_RAD_S * doubtful_s
-        return Reach(T_world_camera, metres, radians)
+        return Reach.after(T_world_camera, frame.timestamp_s - last_s, doubtful_s)
 
     def poses_in_submaps(self, atlas: Atlas) -> list[Array]:
         """T_submap_camera [4, 4] of each frame, in its own submap."""
@@ -361,6 +360,7 @@ class CameraPath:
             "lost_frames": list(self.lost_frames.items()),
             "unreliable_in_a_row": self.unreliable_in_a_row,
             "dropped_frames": self.dropped_frames,
+            "cut": self._cut,
         }
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
@@ -374,6 +374,7 @@ class CameraPath:
         self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
         self.unreliable_in_a_row = int(values["unreliable_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]
+        self._cut = bool(values["cut"])
 
 
 def fingerprint(frame: Frame) -> int:

@@ -115,8 +115,9 @@ class Recovery:
         with self._recorder.timed(Stage.RELOCALISATION):
             reach, found = self._path.reach(self._atlas, frame), None
             if not lost.ambiguous:
-                unknown_m = self._closer.unknown_m(self._atlas) if out_of_patience else None
-                found = relocaliser.find(frame, self._atlas, tracker, reach, unknown_m)
+                parts = self._closer.parts(self._atlas)
+                part = next(part for part in parts if self._atlas.active in part)
+                found = relocaliser.find(frame, self._atlas, tracker, reach, part)
         active = self._atlas.active if self._atlas.has_active_submap else None
         if found is not None and found.submap == active:
             tracker.continue_from(frame.timestamp_s, found.T_submap_camera)

@@ -87,7 +87,7 @@ class DenseTracker(MovingTracker):
         self._newest: FrameLevel | None = None
         self._scales = INITIAL_SCALES
         self._exposure = IDENTITY
-        self._ambiguous = False
+        self._ambiguous = self._doubtful = False
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
         """Compute a frame's pyramid on a GPU while earlier frames are tracked.
@@ -102,7 +102,7 @@ class DenseTracker(MovingTracker):
         scales = [self._scales.intensity, self._scales.depth_m]
         exposure = [self._exposure.gain, self._exposure.bias]
         own = {"scales": np.array(scales), "exposure": np.array(exposure)}
-        own |= {"ambiguous": np.array(self._ambiguous)}
+        own |= {"ambiguous": np.array(self._ambiguous), "doubtful": np.array(self._doubtful)}
         features = {f"features/{name}": a for name, a in self._landmarks.state().items()}
         return super().state() | own | features
 
@@ -111,7 +111,7 @@ class DenseTracker(MovingTracker):
         super().restore(state)
         self._scales = ResidualScales(*(float(s) for s in state["scales"]))
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
-        self._ambiguous = bool(state["ambiguous"])
+        self._ambiguous, self._doubtful = bool(state["ambiguous"]), bool(state["doubtful"])
         self._landmarks.restore(arrays_below(state, "features/"))
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
@@ -135,7 +135,7 @@ class DenseTracker(MovingTracker):
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
         """Continue from a pose [4, 4], without a velocity."""
         super().continue_from(timestamp_s, T_map_camera)
-        self._ambiguous = False
+        self._ambiguous = self._doubtful = False
         self._landmarks = Landmarks(self._newest, T_map_camera)
 
     def track(
@@ -153,10 +153,19 @@ class DenseTracker(MovingTracker):
         result = self.locate(
             frame, gaussians, *starts, proposals=proposals, features=features, reach=reach
         )
+        bound = self.motion.bound(frame.timestamp_s)
+        if bound is not None and not bound.contains(result.T_map_camera):
+            result = replace(
+                result, health=Health.LOST, reason="the camera cannot have moved so far"
+            )
+        reached = reach is None or reach.contains(result.T_map_camera)
+        if self._doubtful and not (reached and _is_clear(result)):
+            result = doubted(result, "the frame before is doubtful, and this one is not clear")
         two_motions = features is not None and features.motions is not None
         if result.health is Health.GOOD or (result.ambiguous and not two_motions):
             # In other directions than the ambiguous one, the velocity is known.
-            self.motion.update(frame.timestamp_s, result.T_map_camera)
+            certain = result.health is Health.GOOD and not self._doubtful
+            self.motion.update(frame.timestamp_s, result.T_map_camera, certain)
         else:
             self.motion.forget_velocity()
         if result.health is Health.GOOD:
@@ -164,7 +173,7 @@ class DenseTracker(MovingTracker):
             self._exposure = result.exposure
         elif not result.ambiguous and has_depth(frame):
             self._scales = relaxed_scales(self._scales)
-        self._ambiguous = result.ambiguous
+        self._ambiguous, self._doubtful = result.ambiguous, result.health is not Health.GOOD
         if result.lost:
             self._landmarks.undo()
         else:

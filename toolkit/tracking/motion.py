@@ -21,6 +21,7 @@ class ConstantVelocity:
     def __init__(self) -> None:
         self._times: list[float] = []
         self._poses: list[NDArray[np.float64]] = []
+        self._certain = True
         self._corrected = 0
 
     def predict(self, timestamp_s: float) -> NDArray[np.float64]:
@@ -40,26 +41,42 @@ class ConstantVelocity:
         if not self._poses:
             return None
         elapsed_s = timestamp_s - self._times[-1]
-        if len(self._poses) < 2:
+        if len(self._poses) < 2 or not self._certain:
             metres, radians = _SPEED * elapsed_s, _ANGULAR_SPEED * elapsed_s
         else:
             # The velocity is that in the middle of the time between both poses.
             squared = 0.5 * elapsed_s * (elapsed_s + self._times[-1] - self._times[-2])
             metres, radians = _ACCELERATION * squared, _ANGULAR_ACCELERATION * squared
-        return Reach(self.predict(timestamp_s), metres + _ERROR_M, radians + _ERROR_RAD)
+        likeliest = self.predict(timestamp_s) if self._certain else self._poses[-1]
+        return Reach(likeliest, metres + _ERROR_M, radians + _ERROR_RAD)
+
+    def bound(self, timestamp_s: float) -> Reach | None:
+        """Where the camera is at a time, whatever its velocity was; None before the first pose."""
+        if not self._poses:
+            return None
+        return Reach.after(self._poses[-1], timestamp_s - self._times[-1], 0.0)
 
     def last(self) -> NDArray[np.float64] | None:
         """The newest pose [4, 4], or None."""
         return self._poses[-1].copy() if self._poses else None
 
-    def update(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
-        """Add the pose [4, 4] of a tracked frame."""
+    def update(
+        self, timestamp_s: float, T_map_camera: NDArray[np.float64], certain: bool = True
+    ) -> None:
+        """Add the pose [4, 4] of a tracked frame.
+
+        Args:
+            certain: whether the motion since the newest pose, which is predicted to go on, bounds
+                the next one, too.
+        """
         self.forget_velocity()
         self._times.append(timestamp_s)
         self._poses.append(T_map_camera.copy())
+        self._certain = certain
 
     def forget_velocity(self) -> None:
         """Keep the newest pose but not the velocity, as after a lost frame."""
+        self._certain = True
         forgotten = max(len(self._poses) - 1, 0)
         self._times, self._poses = self._times[-1:], self._poses[-1:]
         self._corrected = max(self._corrected - forgotten, 0)
@@ -80,6 +97,7 @@ class ConstantVelocity:
             "times": np.array(self._times),
             "poses": np.array(self._poses).reshape(-1, 4, 4),
             "corrected": np.array(self._corrected),
+            "certain": np.array(self._certain),
         }
 
     @classmethod
@@ -89,4 +107,5 @@ class ConstantVelocity:
         model._times = [float(t) for t in state["times"]]
         model._poses = [np.array(pose) for pose in state["poses"]]
         model._corrected = int(state["corrected"])
+        model._certain = bool(state["certain"])
         return model

@@ -22,6 +22,11 @@ from toolkit.tracking.views import Task
 _ANOTHER, _AS_GOOD, _AS_MUCH = 0.04, 0.95, 0.75
 # Distance from the pose of the features of a pose that is elsewhere.
 _ELSEWHERE = 0.3
+# How far the camera can have moved while it was lost, and how wrong the pose of a frame that was
+# doubtful for so long can be, in metres and radians per second; and both from the start.
+_LOST_M_S, _LOST_RAD_S = 2.0, 4.0
+_DOUBTFUL_M_S, _DOUBTFUL_RAD_S = 0.8, 0.6
+_ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,18 @@ class Reach:
     T_map_camera: NDArray[np.float64]
     metres: float
     radians: float
+
+    @classmethod
+    def after(cls, T_map_camera: NDArray[np.float64], lost_s: float, doubtful_s: float) -> Reach:
+        """The poses that a lost camera can have reached.
+
+        Args:
+            T_map_camera: [4, 4] the last pose.
+            lost_s: time since then. doubtful_s: time for which that pose had been doubtful.
+        """
+        metres = _ANYHOW_M + _LOST_M_S * lost_s + _DOUBTFUL_M_S * doubtful_s
+        radians = _ANYHOW_RAD + _LOST_RAD_S * lost_s + _DOUBTFUL_RAD_S * doubtful_s
+        return cls(T_map_camera, metres, radians)
 
     def contains(self, T_map_camera: NDArray[np.float64]) -> bool:
         """Whether a pose [4, 4] can be the camera's."""

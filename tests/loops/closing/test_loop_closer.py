@@ -32,7 +32,7 @@ from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.loops.pose_graph.options import PoseGraphOptions
 from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
 from toolkit.loops.registration.result import RegistrationResult, failed
-from toolkit.loops.relocalisation import LastPosition, Relocaliser
+from toolkit.loops.relocalisation import Relocaliser
 from toolkit.loops.verification import VerificationLimits
 from toolkit.mapping.boundary import start_next
 from toolkit.mapping.mapper import Mapper
@@ -41,6 +41,7 @@ from toolkit.submaps.allocation import Allocation
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.options import AllocationOptions
 from toolkit.synthetic_rooms import tiny_room
+from toolkit.tracking.reach import Reach
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
 EAGER = CandidateOptions(
@@ -485,7 +486,7 @@ class TestSettle:
 
 
 class TestLost:
-    def test_of_places_that_look_alike_those_in_reach_are_tried_first(self, frames, monkeypatch):
+    def test_of_places_that_look_alike_the_one_in_reach_is_tried(self, frames, monkeypatch):
         far = np.eye(4)
         far[0, 3] = 9.0
         atlas, closer, _ = closed([(f, far @ T if f.index >= 20 else T) for f, T in frames])
@@ -494,24 +495,36 @@ class TestLost:
             Relocaliser, "_align", lambda _, frame, keyframe, *rest: tried.append(keyframe.index)
         )
 
-        def order(last, anywhere=True):
+        def order(reach):
             tried.clear()
-            assert closer.relocaliser.find(lost, atlas, None, last, anywhere) is None
+            part = tuple(range(len(atlas)))
+            assert closer.relocaliser.find(lost, atlas, None, reach, part) is None
             return list(tried)
 
         anyhow = order(None)
         assert {index < 20 for index in anyhow[:2]} == {True, False}, "they look the same"
-        for there in (np.zeros(3), far[:3, 3]):
-            last = LastPosition(lost.timestamp_s, there, part=())
-            mine = [index < 20 for index in order(last)]
-            assert mine[0] == (there[0] == 0.0)
-            assert mine == sorted(mine, reverse=mine[0]), "the others come after them"
-            alone = [index < 20 for index in order(last, anywhere=False)]
-            assert alone == [own for own in mine if own == mine[0]]
-            same_part = replace(last, part=tuple(range(len(atlas))))
-            assert [index < 20 for index in order(same_part)] == alone
-        long_ago = LastPosition(lost.timestamp_s - 60.0, np.zeros(3), part=())
-        assert order(long_ago)[: len(anyhow)] == anyhow
+        for there in (np.eye(4), far):
+            mine = [index < 20 for index in order(Reach(there, 2.0, 1.0))]
+            assert mine and set(mine) == {there is not far}
+
+    @pytest.mark.parametrize(
+        ("reach_m", "closes"),
+        [(0.5, False), (2.0, True), (None, True)],
+        ids=["beyond", "within", "unknown"],
+    )
+    def test_a_loop_with_a_place_out_of_reach_is_none(self, frames, reach_m, closes):
+        # The camera was 1 m beside the place of the last submap, which registration finds.
+        atlas, closer, _ = closed(frames)
+        last, beside = atlas.active, np.eye(4)
+        beside[0, 3] = 1.0
+        before = atlas.T_world_submap(last)
+        closer._odometry.links.pop()
+        reach = None if reach_m is None else Reach(before @ beside, reach_m, 0.5)
+        closer._odometry.started_lost(atlas, None, reach)
+        assert closer.parts(atlas)[-1] == (last,)
+        assert closer.close_between(atlas, last) == closes
+        assert (len(closer.parts(atlas)) == 1) == closes
+        assert np.array_equal(atlas.T_world_submap(last), before) == (not closes)
 
 
 class TestState:

@@ -321,15 +321,6 @@ class LoopCloser:
         """Submaps with known relative poses; see `LoopClosing`."""
         return connected_parts(range(len(atlas)), [*self._odometry.known, *self.loops])
 
-    def unknown_m(self, atlas: Atlas) -> list[float]:
-        """Uncertainty of each submap's place relative to the active one; see `LoopClosing`."""
-        own = next(part for part in self.parts(atlas) if atlas.active in part)
-        distance = self._odometry.distance_unknown_m
-        return [
-            0.0 if number in own else min(distance(number, mine) for mine in own)
-            for number in range(len(atlas))
-        ]
-
     def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array:
         """Covariances of frame poses; see `frame_covariances`."""
         links = self._odometry.measured(path)

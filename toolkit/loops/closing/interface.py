@@ -118,13 +118,6 @@ class LoopClosing(Protocol):
         """
         ...
 
-    def unknown_m(self, atlas: Atlas) -> list[float]:
-        """How far each submap may be from its place relative to the active one, metres.
-
-        That is 0 within the active part, and grows with the time for which the camera was lost.
-        """
-        ...
-
     def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
         """Covariances [M, 6, 6] of frames (`frame_covariances`); None if they are unknown.
 
@@ -191,10 +184,6 @@ class NoLoopClosing:
     def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
         """All submaps are one part: without relocalisation, none starts at an unknown pose."""
         return [tuple(range(len(atlas)))]
-
-    def unknown_m(self, atlas: Atlas) -> list[float]:
-        """Nothing is uncertain."""
-        return [0.0] * len(atlas)
 
     def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
         """Covariances are unknown."""

@@ -26,8 +26,10 @@ from toolkit.tracking.reach import Reach
 
 Array = NDArray[np.float64]
 
-# Standard deviations of an unknown pose, metres and radians.
+# Standard deviations of an unknown pose, metres and radians, and of one within reach, as a fraction
+# of that: the tests of loops allow about four.
 _UNKNOWN_M, _UNKNOWN_RAD = 10.0, 3.0
+_OF_REACH = 0.25
 # Information between the submaps of a loaded map, whose relative poses are fixed.
 _RIGID = np.eye(6) * 1e9
 
@@ -40,8 +42,7 @@ class SubmapOdometry:
         ended: numbers of the submaps that have been left at least once.
         ways_back: edges from the newest submap to those entered since it was left, by number.
         origins: number of the submap in which each submap started, by number.
-        unknown_m: how far those that started at a lost frame may be from where the camera was, by
-            number. Their links only bound their poses.
+        lost: numbers of those that started at a lost frame. Their links only bound their poses.
     """
 
     def __init__(self, noise: OdometryNoise) -> None:
@@ -49,13 +50,13 @@ class SubmapOdometry:
         self.ended: set[int] = set()
         self.ways_back: dict[int, PoseEdge] = {}
         self.origins: dict[int, int] = {}
-        self.unknown_m: dict[int, float] = {}
+        self.lost: set[int] = set()
         self._noise = noise
 
     @property
     def known(self) -> list[PoseEdge]:
         """The links but those that only bound an unknown pose."""
-        return [link for link in self.links if link.second not in self.unknown_m]
+        return [link for link in self.links if link.second not in self.lost]
 
     def map_loaded(self, atlas: Atlas) -> None:
         """Link the submaps of a loaded map, which is treated as rigid."""
@@ -96,16 +97,13 @@ class SubmapOdometry:
             self.origins[new] = where
         T_world_camera = atlas.T_world_submap(new) if reach is None else reach.T_map_camera
         T = se3.orthonormalise(se3.inverse(atlas.T_world_submap(new - 1)) @ T_world_camera)
-        metres = _UNKNOWN_M if reach is None else min(0.5 * reach.metres, _UNKNOWN_M)
-        radians = _UNKNOWN_RAD if reach is None else min(0.5 * reach.radians, _UNKNOWN_RAD)
+        metres, radians = _UNKNOWN_M, _UNKNOWN_RAD
+        if reach is not None:
+            metres = min(_OF_REACH * reach.metres, metres)
+            radians = min(_OF_REACH * reach.radians, radians)
         information = np.diag([1.0 / metres**2] * 3 + [1.0 / radians**2] * 3)
         self.links.append(PoseEdge(new - 1, new, T, information))
-        self.unknown_m[new] = 2.0 * metres
-
-    def distance_unknown_m(self, first: int, second: int) -> float:
-        """How much the distance of two submaps is unknown, if no loop connects them, metres."""
-        low, high = sorted((first, second))
-        return sum(metres for new, metres in self.unknown_m.items() if low < new <= high)
+        self.lost.add(new)
 
     def beside(self, number: int) -> set[int]:
         """The submap in which a submap started, and those that started in it."""
@@ -161,7 +159,7 @@ class SubmapOdometry:
         return [
             link
             if self.origins.get(link.second, link.first) != link.first  # with a way back
-            or link.second in self.unknown_m
+            or link.second in self.lost
             or np.array_equal(link.information, _RIGID)
             else measured
             for link, measured in pairs
@@ -172,7 +170,7 @@ class SubmapOdometry:
         return {
             "ended": sorted(self.ended),
             "origins": sorted(self.origins.items()),
-            "unknown": sorted(self.unknown_m.items()),
+            "lost": sorted(self.lost),
         }
 
     def restore(
@@ -181,7 +179,7 @@ class SubmapOdometry:
         """Restore an earlier state."""
         self.links, self.ways_back = list(links), {way.second: way for way in ways_back}
         self.origins = {int(new): int(where) for new, where in values["origins"]}
-        self.unknown_m = {int(new): float(metres) for new, metres in values["unknown"]}
+        self.lost = set(values["lost"])
         self.ended = set(values["ended"])
 
 
