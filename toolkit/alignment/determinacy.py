@@ -32,10 +32,6 @@ _WELL = 0.3
 _CHANCE, _NOISE_INTENSITY = 0.04, 0.015
 # Relative rise that the errors of pixels and of the map hide.
 _NOISE = 0.001
-# Parts of a unit at which a direction that is determined less than well is measured again: along a
-# shaded wall the cost rises far away, but its minimum is flat. At the nearest one, the view is
-# interpolated between pixels as it is elsewhere, which reduces the cost of its noise.
-_NEARBY, _NEAREST = 0.4, 0.15
 
 # Every so many rows and columns are used where derivatives are computed, and the pixels that they
 # are computed from.
@@ -70,7 +66,7 @@ def determinacy(problem: LevelProblem) -> Determinacy:
     """
     here = linearise(problem)
     H = _curvature(problem)
-    if not 0.0 < here.cost < np.inf or not np.isfinite(H).all():
+    if not np.isfinite(here.cost) or not np.isfinite(H).all():
         return Determinacy(np.diag(UNITS), np.zeros(6))
     strengths, axes = np.linalg.eigh(H * np.outer(UNITS, UNITS))
     chance = _CHANCE * min(1.0, _NOISE_INTENSITY / problem.scales.intensity) ** 2
@@ -137,18 +133,13 @@ def _rise(problem: LevelProblem, cost: float, direction: Array) -> float:
     Alignment ends in a minimum of the noise if there is no other. Its cost rises beside it, too,
     but does not go on rising.
     """
-    near = _least_cost(problem, direction) / cost - 1.0
+    near = _least_rise(problem, cost, direction)
     if near > _WELL:
         return near
-    further, nearby, nearest = (
-        _least_cost(problem, part * direction) / cost for part in (2.0, _NEARBY, _NEAREST)
-    )
-    lowest = min(1.0, nearest)
-    near += 1.0 - lowest
-    return max(min(near, further - lowest - near, (nearby - lowest) / _NEARBY**2), 0.0)
+    return max(min(near, _least_rise(problem, cost, 2.0 * direction) - near), 0.0)
 
 
-def _least_cost(problem: LevelProblem, direction: Array) -> float:
-    """The smaller one of the costs at a displacement [6] and at its opposite."""
+def _least_rise(problem: LevelProblem, cost: float, direction: Array) -> float:
     poses = (se3.exp(sign * direction) @ problem.T_model_frame for sign in (-1.0, 1.0))
-    return min(linearise(replace(problem, T_model_frame=T)).cost for T in poses)
+    costs = [linearise(replace(problem, T_model_frame=T)).cost for T in poses]
+    return min(costs) / max(cost, 1e-9) - 1.0

@@ -130,17 +130,20 @@ class CameraPath:
         elapsed_s = frame.timestamp_s - self._frames[-1].timestamp_s
         return se3.log(se3.inverse(T_world_last) @ T_world_camera) / elapsed_s
 
-    def add_lost(self, frame: Frame, reason: str, tried: bool = True) -> None:
+    def add_lost(
+        self, frame: Frame, reason: str, tried: bool = True, ambiguous: bool = False
+    ) -> None:
         """Add a frame without a pose, and why it has none.
 
         Args:
             tried: whether the camera could have been located in this frame.
+            ambiguous: whether it looks like a place where the camera cannot be.
         """
         self.lost_frames[frame.index] = reason
         tried &= has_depth(frame)
         self.unreliable_in_a_row += tried
-        if tried and self._frames and not self._frames[-1].doubt:
-            self._cut |= frame.timestamp_s - self._frames[-1].timestamp_s <= _CUT_S
+        if tried and not ambiguous:
+            self._cut = self._is_after_cut(frame)
 
     def disorder(self, frame: FrameStamp) -> str:
         """Why a frame cannot follow the newest frame with a pose in time; empty if it can."""
@@ -293,18 +296,26 @@ class CameraPath:
         return steady_velocity(poses[-2:], [times_s[-1], frame.timestamp_s])
 
     def reach(self, atlas: Atlas, frame: FrameStamp) -> Reach | None:
-        """Where the camera may be in the world at the next frame.
+        """Where the camera may be in the world at the next frame, which is lost.
 
-        None without frames, and where nothing of a reliable frame is seen a moment later: the
-        recording was cut.
+        None without frames, and after a cut of the recording.
         """
-        if not self._frames or self._cut:
+        if not self._frames or self._is_after_cut(frame):
             return None
         number, T_submap_camera = self.last_pose(atlas)
         T_world_camera = atlas.T_world_submap(number) @ T_submap_camera
         last_s, reliable_s = self._frames[-1].timestamp_s, self.last_reliable_s
         doubtful_s = last_s - (self._frames[0].timestamp_s if reliable_s is None else reliable_s)
         return Reach.after(T_world_camera, frame.timestamp_s - last_s, doubtful_s)
+
+    def _is_after_cut(self, frame: FrameStamp) -> bool:
+        """Whether the recording was cut before a lost frame.
+
+        It was if nothing of a reliable frame is seen a moment later.
+        """
+        if self._cut or not self._frames or self._frames[-1].doubt:
+            return self._cut
+        return frame.timestamp_s - self._frames[-1].timestamp_s <= _CUT_S
 
     def poses_in_submaps(self, atlas: Atlas) -> list[Array]:
         """T_submap_camera [4, 4] of each frame, in its own submap."""

@@ -206,7 +206,10 @@ class Slam:
         located = self._locator.locate(frame, may_map)
         T_map_camera, tracking = located.T_map_camera, located.tracking
         if T_map_camera is None:
-            self._path.add_lost(frame, "" if tracking is None else tracking.reason)
+            reason, ambiguous = (
+                ("", False) if tracking is None else (tracking.reason, tracking.ambiguous)
+            )
+            self._path.add_lost(frame, reason, ambiguous=ambiguous)
             return FrameResult(frame.index, None, tracking)
 
         mapping = None

@@ -42,7 +42,14 @@ from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.prepared import PreparedFrames
 from toolkit.tracking.proposals import Proposals
-from toolkit.tracking.reach import Reach, by_evidence, doubted, likeliest, unless_contradicted
+from toolkit.tracking.reach import (
+    Reach,
+    by_evidence,
+    contradicted,
+    doubted,
+    likeliest,
+    unless_contradicted,
+)
 from toolkit.tracking.repetition import repetitions
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.rotation_search import rotated_starts, wide_camera
@@ -153,16 +160,9 @@ class DenseTracker(MovingTracker):
         result = self.locate(
             frame, gaussians, *starts, proposals=proposals, features=features, reach=reach
         )
-        bound = self.motion.bound(frame.timestamp_s)
-        if bound is not None and not bound.contains(result.T_map_camera):
-            result = replace(
-                result, health=Health.LOST, reason="the camera cannot have moved so far"
-            )
-        reached = reach is None or reach.contains(result.T_map_camera)
-        if self._doubtful and not (reached and _is_clear(result)):
-            result = doubted(result, "the frame before is doubtful, and this one is not clear")
+        result = self._believed(frame, result, reach)
         two_motions = features is not None and features.motions is not None
-        if result.health is Health.GOOD or (result.ambiguous and not two_motions):
+        if result.health is Health.GOOD or (result.ambiguous and not (result.lost or two_motions)):
             # In other directions than the ambiguous one, the velocity is known.
             certain = result.health is Health.GOOD and not self._doubtful
             self.motion.update(frame.timestamp_s, result.T_map_camera, certain)
@@ -178,8 +178,21 @@ class DenseTracker(MovingTracker):
             self._landmarks.undo()
         else:
             with self._recorder.timed(Stage.TRACKING_FEATURES):
-                certain = result.health is Health.GOOD
-                self._landmarks.extend(self._newest, result.T_map_camera, certain)
+                good = result.health is Health.GOOD
+                self._landmarks.extend(self._newest, result.T_map_camera, good)
+        return result
+
+    def _believed(
+        self, frame: Frame, result: TrackingResult, reach: Reach | None
+    ) -> TrackingResult:
+        """The result of a frame, as far as the frames before let one believe it."""
+        bound = self.motion.bound(frame.timestamp_s)
+        if result.lost or bound is None or reach is None:
+            return result
+        if not bound.contains(result.T_map_camera):
+            return contradicted(result, "the camera cannot have moved so far")
+        if self._doubtful and not (_is_clear(result) and reach.contains(result.T_map_camera)):
+            return doubted(result, "the frame before is doubtful, and this one is not clear")
         return result
 
     def locate(

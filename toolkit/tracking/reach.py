@@ -93,7 +93,12 @@ def unless_contradicted(task: Task, result: TrackingResult, reach: Reach | None)
     near = task.distance(features.T_map_camera, T_map_camera) < _ELSEWHERE
     if near or reach.contains(T_map_camera):
         return result
-    return replace(result, health=Health.LOST, reason="features were followed to another place")
+    return contradicted(result, "features were followed to another place")
+
+
+def contradicted(result: TrackingResult, reason: str) -> TrackingResult:
+    """A lost result instead of one at a place that looks the same."""
+    return replace(result, health=Health.LOST, reason=reason, ambiguous=True)
 
 
 def _fits_as_well(result: TrackingResult, best: TrackingResult) -> bool:
