@@ -164,8 +164,8 @@ class DenseTracker(MovingTracker):
         two_motions = features is not None and features.motions is not None
         if result.health is Health.GOOD or (result.ambiguous and not (result.lost or two_motions)):
             # In other directions than the ambiguous one, the velocity is known.
-            certain = result.health is Health.GOOD and not self._doubtful
-            self.motion.update(frame.timestamp_s, result.T_map_camera, certain)
+            reliable = result.health is Health.GOOD
+            self.motion.update(frame.timestamp_s, result.T_map_camera, reliable)
         else:
             self.motion.forget_velocity()
         if result.health is Health.GOOD:
@@ -178,8 +178,8 @@ class DenseTracker(MovingTracker):
             self._landmarks.undo()
         else:
             with self._recorder.timed(Stage.TRACKING_FEATURES):
-                good = result.health is Health.GOOD
-                self._landmarks.extend(self._newest, result.T_map_camera, good)
+                certain = result.health is Health.GOOD
+                self._landmarks.extend(self._newest, result.T_map_camera, certain)
         return result
 
     def _believed(

@@ -21,7 +21,7 @@ class ConstantVelocity:
     def __init__(self) -> None:
         self._times: list[float] = []
         self._poses: list[NDArray[np.float64]] = []
-        self._certain = True
+        self._certain, self._reliable_s = True, 0.0
         self._corrected = 0
 
     def predict(self, timestamp_s: float) -> NDArray[np.float64]:
@@ -54,29 +54,31 @@ class ConstantVelocity:
         """Where the camera is at a time, whatever its velocity was; None before the first pose."""
         if not self._poses:
             return None
-        return Reach.after(self._poses[-1], timestamp_s - self._times[-1], 0.0)
+        doubtful_s = self._times[-1] - self._reliable_s
+        return Reach.after(self._poses[-1], timestamp_s - self._times[-1], doubtful_s)
 
     def last(self) -> NDArray[np.float64] | None:
         """The newest pose [4, 4], or None."""
         return self._poses[-1].copy() if self._poses else None
 
     def update(
-        self, timestamp_s: float, T_map_camera: NDArray[np.float64], certain: bool = True
+        self, timestamp_s: float, T_map_camera: NDArray[np.float64], reliable: bool = True
     ) -> None:
         """Add the pose [4, 4] of a tracked frame.
 
         Args:
-            certain: whether the motion since the newest pose, which is predicted to go on, bounds
-                the next one, too.
+            reliable: whether it is right. A motion from or to a pose that may be wrong is predicted
+                to go on, but does not limit the next one.
         """
         self.forget_velocity()
+        self._certain = reliable and self._times in ([], [self._reliable_s])
         self._times.append(timestamp_s)
         self._poses.append(T_map_camera.copy())
-        self._certain = certain
+        if reliable:
+            self._reliable_s = timestamp_s
 
     def forget_velocity(self) -> None:
         """Keep the newest pose but not the velocity, as after a lost frame."""
-        self._certain = True
         forgotten = max(len(self._poses) - 1, 0)
         self._times, self._poses = self._times[-1:], self._poses[-1:]
         self._corrected = max(self._corrected - forgotten, 0)
@@ -98,6 +100,7 @@ class ConstantVelocity:
             "poses": np.array(self._poses).reshape(-1, 4, 4),
             "corrected": np.array(self._corrected),
             "certain": np.array(self._certain),
+            "reliable_s": np.array(self._reliable_s),
         }
 
     @classmethod
@@ -107,5 +110,5 @@ class ConstantVelocity:
         model._times = [float(t) for t in state["times"]]
         model._poses = [np.array(pose) for pose in state["poses"]]
         model._corrected = int(state["corrected"])
-        model._certain = bool(state["certain"])
+        model._certain, model._reliable_s = bool(state["certain"]), float(state["reliable_s"])
         return model
