@@ -115,6 +115,32 @@ def test_it_recovers_after_a_lost_frame(room, gaussians):
     assert_same_place(result.T_map_camera, room.T_map_camera[3], mm=1.5, deg=0.08)
 
 
+def test_a_doubt_ends_only_with_clear_evidence(room, gaussians, monkeypatch):
+    tracker = started(room)
+    blurred = replace(room.frames[1], rgb=0.5 * room.frames[1].rgb[::-1] + 0.25)
+    assert tracker.track(blurred, gaussians).doubtful
+    with monkeypatch.context() as unclear:
+        unclear.setattr(dense, "_is_clear", lambda result: False)
+        found = tracker.track(room.frames[2], gaussians)
+    assert found.doubtful and "frame before" in found.reason
+    assert_same_place(found.T_map_camera, room.T_map_camera[2], mm=5.0, deg=0.3)
+    assert tracker.track(room.frames[3], gaussians).health is Health.GOOD
+
+
+def test_a_place_that_the_camera_cannot_have_reached_is_another_one(room, gaussians, monkeypatch):
+    tracker = started(room)
+    found = tracker.locate(room.frames[1], gaussians, np.eye(4))
+    far = se3.exp(np.array([1.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    monkeypatch.setattr(
+        tracker, "locate", lambda *_, **__: replace(found, T_map_camera=found.T_map_camera @ far)
+    )
+    result = tracker.track(room.frames[1], gaussians)
+    assert result.lost and result.ambiguous and "cannot have moved" in result.reason
+    assert np.array_equal(tracker.motion.last(), np.eye(4))
+    later = replace(room.frames[1], timestamp_s=room.frames[0].timestamp_s + 1.0)
+    assert not tracker.track(later, gaussians).lost
+
+
 def test_an_empty_map_loses_every_frame(room):
     result = started(room).track(room.frames[1], GaussianCloud.empty())
     assert result.lost and result.visible_fraction == 0.0

@@ -63,6 +63,22 @@ def test_landmarks_of_a_placed_keyframe_keep_their_place(room: Room, levels: lis
     assert_same_place(located(landmarks, levels[1], true).T_map_camera, true, mm=8.0, deg=0.3)
 
 
+def test_features_of_doubtful_frames_tell_nothing_about_the_map(
+    room: Room, levels: list[FrameLevel]
+):
+    start = room.T_map_camera[0]
+    certain, doubtful = Landmarks(levels[0], start), Landmarks()
+    doubtful.extend(levels[0], start, certain=False)
+    one, other = (located(each, levels[1], start) for each in (certain, doubtful))
+    np.testing.assert_array_equal(one.T_map_camera, other.T_map_camera)
+    assert np.trace(one.information) > 1e4 and not other.information.any()
+    restored = Landmarks()
+    restored.restore(doubtful.state())
+    restored.extend(levels[1], one.T_map_camera)
+    found = located(restored, levels[2], one.T_map_camera)
+    assert np.trace(found.information) > 1e4, "the features of the certain frame replace them"
+
+
 def test_restored_landmarks_continue_identically(room: Room, levels: list[FrameLevel]):
     first = Landmarks(levels[0], room.T_map_camera[0])
     first.extend(levels[1], located(first, levels[1], room.T_map_camera[0]).T_map_camera)

@@ -57,6 +57,31 @@ def test_a_velocity_limits_where_the_camera_may_be():
     assert not near.contains(turned)
 
 
+def test_a_velocity_from_a_doubtful_pose_limits_nothing():
+    motion = ConstantVelocity()
+    motion.update(0.0, np.eye(4))
+    motion.update(0.1, aside(0.3), reliable=False)
+    assert np.allclose(motion.predict(0.2), aside(0.6))
+    for now_s in (0.2, 0.3):  # the velocity at the first reliable pose is not known either
+        near = ConstantVelocity.from_state(motion.state()).reach(now_s)
+        assert near is not None and near.contains(aside(0.3)) and near.contains(aside(0.15))
+        motion.update(now_s, aside(0.3))
+    near = motion.reach(0.4)
+    assert near is not None and not near.contains(aside(0.15))
+
+
+def test_the_longer_it_is_lost_or_doubtful_the_farther_it_may_be():
+    motion = ConstantVelocity()
+    assert motion.bound(0.0) is None
+    motion.update(5.0, np.eye(4))
+    bounds = [motion.bound(5.0 + elapsed_s) for elapsed_s in (0.0, 1.0, 2.0)]
+    motion.update(6.0, np.eye(4), reliable=False)
+    bounds.append(motion.bound(6.0))
+    metres = [bound.metres for bound in bounds if bound is not None]
+    assert np.allclose(np.diff(metres[:3]), 2.0) and metres[0] == pytest.approx(0.5)
+    assert metres[0] < metres[3] < metres[1], "doubtful poses are wrong by less than a walk"
+
+
 def test_of_two_poses_that_fit_the_possible_one_is_taken():
     best, possible = found(0.12, covered=1.0), found(0.01, covered=0.7)
     assert chosen(best, possible) is possible
