@@ -11,7 +11,7 @@ from toolkit.alignment.similarity import Similarity
 from toolkit.geometry import se3
 from toolkit.tracking.feature_pose import FeaturePose
 from toolkit.tracking.motion import ConstantVelocity
-from toolkit.tracking.reach import Reach, likeliest, unless_contradicted
+from toolkit.tracking.reach import Reach, likeliest, mean_pace, unless_contradicted
 from toolkit.tracking.result import Health, TrackingResult, not_tracked
 
 
@@ -72,14 +72,31 @@ def test_a_velocity_from_a_doubtful_pose_limits_nothing():
 
 def test_the_longer_it_is_lost_or_doubtful_the_farther_it_may_be():
     motion = ConstantVelocity()
-    assert motion.bound(0.0) is None
-    motion.update(5.0, np.eye(4))
+    motion.update(4.0, np.eye(4))
+    assert motion.bound(5.0) is None, "the clock of the recording may be wrong"
+    motion.update(5.0, aside(0.2))
     bounds = [motion.bound(5.0 + elapsed_s) for elapsed_s in (0.0, 1.0, 2.0)]
     motion.update(6.0, np.eye(4), reliable=False)
     bounds.append(motion.bound(6.0))
     metres = [bound.metres for bound in bounds if bound is not None]
     assert np.allclose(np.diff(metres[:3]), 2.0) and metres[0] == pytest.approx(0.5)
     assert metres[0] < metres[3] < metres[1], "doubtful poses are wrong by less than a walk"
+
+
+def test_a_clock_that_is_too_fast_does_not_limit_the_motion():
+    motion = ConstantVelocity()
+    for index in range(4):
+        motion.update(index / 30.0, aside(1.2 * index))
+        restored = ConstantVelocity.from_state(motion.state())
+        bound = restored.bound((index + 1) / 30.0)
+        assert bound is None or bound.contains(aside(1.2 * (index + 1)))
+
+
+def test_the_pace_is_a_mean():
+    walk, jump = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 40.0, 0.0, 0.0])
+    pace = mean_pace(mean_pace(0.0, walk), walk)
+    assert pace == pytest.approx(0.5)
+    assert mean_pace(pace, jump) == pytest.approx(0.5 + 0.2 * 9.5)
 
 
 def test_of_two_poses_that_fit_the_possible_one_is_taken():

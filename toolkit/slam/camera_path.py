@@ -18,7 +18,7 @@ from toolkit.loops.closing.uncertainty import PathPose
 from toolkit.slam.frame_covariance import by_shutter, by_view
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
-from toolkit.tracking.reach import Reach
+from toolkit.tracking.reach import Reach, mean_pace
 from toolkit.tracking.result import TrackingResult, exposure_of
 from toolkit.tracking.rolling_shutter import MAX_GAP_S, steady_velocity
 
@@ -75,7 +75,7 @@ class CameraPath:
         self.lost_frames: dict[int, str] = {}
         self.unreliable_in_a_row = 0
         self.dropped_frames: list[int] = []
-        self._cut = False
+        self._cut, self._pace = False, 0.0
         self._frames: list[_TrackedFrame] = []
         self._T_keyframe_camera: list[Array] = []
         self._covariances: list[Array] = []
@@ -103,10 +103,12 @@ class CameraPath:
         self.unreliable_in_a_row = self.unreliable_in_a_row + 1 if doubt else 0
         self._cut = False
         covariance = by_view(frame, tracking)
-        if frame.readout_sigma_s > 0.0 and self._frames and covariance.any():
-            covariance = covariance + by_shutter(
-                frame, self._last_motion(frame, atlas, T_submap_camera)
-            )
+        if self._frames and tracking is not None and not tracking.lost:
+            velocity = self._last_motion(frame, atlas, T_submap_camera)
+            if frame.readout_sigma_s > 0.0 and covariance.any():
+                covariance = covariance + by_shutter(frame, velocity)
+            if not (doubt or self._frames[-1].doubt):
+                self._pace = mean_pace(self._pace, velocity)
         self._covariances.append(covariance)
         self._frames.append(
             _TrackedFrame(
@@ -306,7 +308,7 @@ class CameraPath:
         T_world_camera = atlas.T_world_submap(number) @ T_submap_camera
         last_s, reliable_s = self._frames[-1].timestamp_s, self.last_reliable_s
         doubtful_s = last_s - (self._frames[0].timestamp_s if reliable_s is None else reliable_s)
-        return Reach.after(T_world_camera, frame.timestamp_s - last_s, doubtful_s)
+        return Reach.after(T_world_camera, frame.timestamp_s - last_s, doubtful_s, self._pace)
 
     def _is_after_cut(self, frame: FrameStamp) -> bool:
         """Whether the recording was cut before a lost frame.
@@ -372,6 +374,7 @@ class CameraPath:
             "unreliable_in_a_row": self.unreliable_in_a_row,
             "dropped_frames": self.dropped_frames,
             "cut": self._cut,
+            "pace": self._pace,
         }
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
@@ -385,7 +388,7 @@ class CameraPath:
         self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
         self.unreliable_in_a_row = int(values["unreliable_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]
-        self._cut = bool(values["cut"])
+        self._cut, self._pace = bool(values["cut"]), float(values["pace"])
 
 
 def fingerprint(frame: Frame) -> int:

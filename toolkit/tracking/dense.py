@@ -187,9 +187,9 @@ class DenseTracker(MovingTracker):
     ) -> TrackingResult:
         """The result of a frame, as far as the frames before let one believe it."""
         bound = self.motion.bound(frame.timestamp_s)
-        if result.lost or bound is None or reach is None:
+        if result.lost or reach is None:
             return result
-        if not bound.contains(result.T_map_camera):
+        if bound is not None and not bound.contains(result.T_map_camera):
             return contradicted(result, "the camera cannot have moved so far")
         if self._doubtful and not (_is_clear(result) and reach.contains(result.T_map_camera)):
             return doubted(result, "the frame before is doubtful, and this one is not clear")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.tracking.reach import Reach
+from toolkit.tracking.reach import Reach, mean_pace
 
 # Changes of velocity and velocities that a camera in a hand or on a robot does not exceed.
 _ACCELERATION, _ANGULAR_ACCELERATION = 10.0, 50.0
@@ -21,7 +21,7 @@ class ConstantVelocity:
     def __init__(self) -> None:
         self._times: list[float] = []
         self._poses: list[NDArray[np.float64]] = []
-        self._certain, self._reliable_s = True, 0.0
+        self._certain, self._reliable_s, self._pace = True, 0.0, 0.0
         self._corrected = 0
 
     def predict(self, timestamp_s: float) -> NDArray[np.float64]:
@@ -51,11 +51,11 @@ class ConstantVelocity:
         return Reach(likeliest, metres + _ERROR_M, radians + _ERROR_RAD)
 
     def bound(self, timestamp_s: float) -> Reach | None:
-        """Where the camera is at a time, whatever its velocity was; None before the first pose."""
-        if not self._poses:
+        """Where the camera is at a time, whatever its velocity was; None before the first one."""
+        if self._pace == 0.0:
             return None
-        doubtful_s = self._times[-1] - self._reliable_s
-        return Reach.after(self._poses[-1], timestamp_s - self._times[-1], doubtful_s)
+        lost_s, doubtful_s = timestamp_s - self._times[-1], self._times[-1] - self._reliable_s
+        return Reach.after(self._poses[-1], lost_s, doubtful_s, self._pace)
 
     def last(self) -> NDArray[np.float64] | None:
         """The newest pose [4, 4], or None."""
@@ -74,6 +74,9 @@ class ConstantVelocity:
         self._certain = reliable and self._times in ([], [self._reliable_s])
         self._times.append(timestamp_s)
         self._poses.append(T_map_camera.copy())
+        if self._certain and len(self._poses) == 2:
+            step = se3.log(se3.inverse(self._poses[0]) @ T_map_camera)
+            self._pace = mean_pace(self._pace, step / (timestamp_s - self._times[0]))
         if reliable:
             self._reliable_s = timestamp_s
 
@@ -101,6 +104,7 @@ class ConstantVelocity:
             "corrected": np.array(self._corrected),
             "certain": np.array(self._certain),
             "reliable_s": np.array(self._reliable_s),
+            "pace": np.array(self._pace),
         }
 
     @classmethod
@@ -110,5 +114,6 @@ class ConstantVelocity:
         model._times = [float(t) for t in state["times"]]
         model._poses = [np.array(pose) for pose in state["poses"]]
         model._corrected = int(state["corrected"])
-        model._certain, model._reliable_s = bool(state["certain"]), float(state["reliable_s"])
+        model._certain, model._pace = bool(state["certain"]), float(state["pace"])
+        model._reliable_s = float(state["reliable_s"])
         return model

@@ -27,6 +27,9 @@ _ELSEWHERE = 0.3
 _LOST_M_S, _LOST_RAD_S = 2.0, 4.0
 _DOUBTFUL_M_S, _DOUBTFUL_RAD_S = 0.8, 0.6
 _ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
+# Part of a new velocity in the mean of the last ones, and multiple of that which a camera does not
+# exceed.
+_NEW, _FASTER = 0.2, 2.0
 
 
 @dataclass(frozen=True)
@@ -43,13 +46,18 @@ class Reach:
     radians: float
 
     @classmethod
-    def after(cls, T_map_camera: NDArray[np.float64], lost_s: float, doubtful_s: float) -> Reach:
+    def after(
+        cls, T_map_camera: NDArray[np.float64], lost_s: float, doubtful_s: float, pace: float
+    ) -> Reach:
         """The poses that a lost camera can have reached.
 
         Args:
             T_map_camera: [4, 4] the last pose.
             lost_s: time since then. doubtful_s: time for which that pose had been doubtful.
+            pace: mean of the velocities before (`mean_pace`).
         """
+        clock = max(1.0, _FASTER * pace)
+        lost_s, doubtful_s = clock * lost_s, clock * doubtful_s
         metres = _ANYHOW_M + _LOST_M_S * lost_s + _DOUBTFUL_M_S * doubtful_s
         radians = _ANYHOW_RAD + _LOST_RAD_S * lost_s + _DOUBTFUL_RAD_S * doubtful_s
         return cls(T_map_camera, metres, radians)
@@ -59,6 +67,21 @@ class Reach:
         motion = se3.inverse(self.T_map_camera) @ T_map_camera
         near = float(np.linalg.norm(motion[:3, 3])) <= self.metres
         return near and float(se3.rotation_angle_rad(motion[:3, :3])) <= self.radians
+
+
+def mean_pace(pace: float, velocity: NDArray[np.float64]) -> float:
+    """Mean of the last velocities as a fraction of the highest of a camera in a hand.
+
+    It is above 1 if the clock is wrong: images without times count as those of 30 per second,
+    however far the camera moved between them.
+
+    Args:
+        pace: the mean before; 0 without any.
+        velocity: [6] of the camera (m/s, rad/s).
+    """
+    metres, radians = (float(np.linalg.norm(part)) for part in np.split(velocity, 2))
+    new = max(metres / _LOST_M_S, radians / _LOST_RAD_S)
+    return new if pace == 0.0 else pace + _NEW * (new - pace)
 
 
 def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None) -> TrackingResult:
