@@ -68,6 +68,8 @@ _ITERATIONS = 12
 # Distance from the predicted pose (`Task.distance`) up to which alignment hardly ever converges to
 # a wrong pose, and distance up to which two results are the same.
 _EXPECTED, _SAME = 0.015, 0.004
+# Fraction of a frame that the map must cover to end a doubt.
+_SURE_COVERED = 0.25
 # Number of pyramid levels aligned from poses that are accurate to a few pixels.
 _FINE_LEVELS = 2
 
@@ -191,7 +193,9 @@ class DenseTracker(MovingTracker):
             return result
         if bound is not None and not bound.contains(result.T_map_camera):
             return contradicted(result, "the camera cannot have moved so far")
-        if self._doubtful and not (_is_clear(result) and reach.contains(result.T_map_camera)):
+        # In a periodic view, the motion since an ambiguous frame may be one by a period.
+        possible = not self._ambiguous or reach.contains(result.T_map_camera)
+        if self._doubtful and not (possible and is_clear(result.similarity, _SURE_COVERED)):
             return doubted(result, "the frame before is doubtful, and this one is not clear")
         return result
 
