@@ -44,13 +44,19 @@ def test_it_is_near_its_last_pose_for_some_time(tracked):
     assert CameraPath().reach(slam.atlas, last) is None
 
 
-def test_a_doubtful_pose_is_less_wrong_than_none(tracked):
+@pytest.mark.parametrize(("ambiguous", "metres"), [(True, 0.5 + 0.8), (False, 0.5 + 2.0)])
+def test_a_doubtful_pose_is_less_wrong_than_none(tracked, ambiguous, metres):
+    """But one that the evidence speaks against is none."""
     slam, frames = tracked
-    path, submap = restored(slam.camera_path), slam.atlas
-    doubt = replace(slam.process_frame(frames[6]).tracking, health=Health.DOUBTFUL, reason="a wall")
-    path.add(after(frames[5], 1.0), submap, doubt.T_map_camera, doubt)
-    reach = path.reach(submap, after(frames[5], 1.0))
-    assert reach.metres == pytest.approx(0.5 + 0.8)
+    path, last = restored(slam.camera_path), slam.process_frame(frames[6]).tracking
+    doubt = replace(last, health=Health.DOUBTFUL, reason="a wall", ambiguous=ambiguous)
+    path.add(after(frames[5], 1.0), slam.atlas, doubt.T_map_camera, doubt)
+    path = restored(path)
+    reach = path.reach(slam.atlas, after(frames[5], 1.0))
+    assert reach.metres == pytest.approx(metres)
+    number, T_submap_camera = path.last_pose(slam.atlas)
+    newest = slam.atlas.T_world_submap(number) @ T_submap_camera
+    assert np.allclose(reach.T_map_camera, newest, atol=1e-9) == ambiguous
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,7 @@ class _TrackedFrame:
     Attributes:
         keyframe: frame index of the reference keyframe, which belongs to `submap`.
         doubt: why the pose may be wrong; empty if it is reliable.
+        ambiguous: whether the frame was followed, but shows several places or motions.
         steps: number of optimisation steps on the frame, if it became a keyframe.
         fingerprint: of its images as they were recorded.
         repeats: whether they are those of the frame before.
@@ -56,6 +57,7 @@ class _TrackedFrame:
     keyframe: int
     exposure: Exposure
     doubt: str = ""
+    ambiguous: bool = False
     steps: int = 0
     fingerprint: int = 0
     repeats: bool = False
@@ -118,6 +120,7 @@ class CameraPath:
                 last.index,
                 exposure,
                 doubt,
+                bool(doubt) and tracking is not None and tracking.ambiguous,
                 steps,
                 fingerprint,
             )
@@ -253,11 +256,13 @@ class CameraPath:
 
     def last_pose(self, atlas: Atlas) -> tuple[int, Array]:
         """Submap and pose [4, 4] of the newest frame; without frames, the active anchor."""
-        if not self._frames:
-            return atlas.active, np.eye(4)
-        last = self._frames[-1]
-        T_submap_keyframe = atlas.keyframe_poses(last.submap)[last.keyframe]
-        return last.submap, T_submap_keyframe @ self._T_keyframe_camera[-1]
+        return self._pose(atlas, -1) if self._frames else (atlas.active, np.eye(4))
+
+    def _pose(self, atlas: Atlas, position: int) -> tuple[int, Array]:
+        """Submap and pose [4, 4] of a frame by its position."""
+        frame = self._frames[position]
+        T_submap_keyframe = atlas.keyframe_poses(frame.submap)[frame.keyframe]
+        return frame.submap, T_submap_keyframe @ self._T_keyframe_camera[position]
 
     def velocity(
         self, atlas: Atlas, frame: FrameStamp, T_submap_camera: Array | None = None
@@ -304,10 +309,15 @@ class CameraPath:
         """
         if not self._frames or self._is_after_cut(frame):
             return None
-        number, T_submap_camera = self.last_pose(atlas)
+        reliable = [k for k, one in enumerate(self._frames) if not one.doubt]
+        first = reliable[-1] if reliable else 0
+        # Until the evidence spoke against a pose.
+        wrong = [k for k in range(first + 1, len(self._frames)) if not self._frames[k].ambiguous]
+        last = wrong[0] - 1 if wrong else len(self._frames) - 1
+        number, T_submap_camera = self._pose(atlas, last)
         T_world_camera = atlas.T_world_submap(number) @ T_submap_camera
-        last_s, reliable_s = self._frames[-1].timestamp_s, self.last_reliable_s
-        doubtful_s = last_s - (self._frames[0].timestamp_s if reliable_s is None else reliable_s)
+        last_s = self._frames[last].timestamp_s
+        doubtful_s = last_s - self._frames[first].timestamp_s
         return Reach.after(T_world_camera, frame.timestamp_s - last_s, doubtful_s, self._pace)
 
     def _is_after_cut(self, frame: FrameStamp) -> bool:

@@ -90,7 +90,7 @@ def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None
     The latter is doubtful unless it is the only one that the camera can have reached.
     """
     best = max(results, key=by_evidence)
-    if reach is None or best.lost:
+    if reach is None or not (best.health is Health.GOOD or best.ambiguous):
         return best
     fitting = [one for one in results if not one.lost and _fits_as_well(one, best)]
     nearest = min(fitting, key=lambda one: task.distance(reach.T_map_camera, one.T_map_camera))
