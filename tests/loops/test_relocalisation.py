@@ -61,6 +61,7 @@ def tried(monkeypatch):
     """Indices of the keyframes that a frame was matched with, in order; the matching fails."""
     indices: list[int] = []
     monkeypatch.setattr(relocalisation, "_TRIES", 2)
+    monkeypatch.setattr(relocalisation, "_SEEN_FROM_M", 0.5)
     monkeypatch.setattr(
         relocalisation, "measure_offset", lambda keyframe, *_: indices.append(keyframe.index)
     )
@@ -82,7 +83,7 @@ def test_the_most_similar_keyframes_are_tried_alone(tried):
 
 
 @pytest.mark.parametrize(
-    ("metres", "expected"), [(1.5, [20, 40]), (4.0, [20, 30]), (9.0, [10, 20]), (-0.1, [])]
+    ("metres", "expected"), [(1.0, [20, 40]), (3.5, [20, 30]), (8.5, [10, 20]), (-0.6, [])]
 )
 def test_keyframes_out_of_reach_are_not_tried(tried, metres, expected):
     find(within(metres))

@@ -48,8 +48,13 @@ def test_it_is_near_its_last_pose_for_some_time(tracked):
 def test_a_doubtful_pose_is_less_wrong_than_none(tracked, ambiguous, metres):
     """But one that the evidence speaks against is none."""
     slam, frames = tracked
-    path, last = restored(slam.camera_path), slam.process_frame(frames[6]).tracking
-    doubt = replace(last, health=Health.DOUBTFUL, reason="a wall", ambiguous=ambiguous)
+    path = restored(slam.camera_path)
+    doubt = replace(
+        slam.tracker.track(frames[6], slam.atlas.gaussians),
+        health=Health.DOUBTFUL,
+        reason="a wall",
+        ambiguous=ambiguous,
+    )
     path.add(after(frames[5], 1.0), slam.atlas, doubt.T_map_camera, doubt)
     path = restored(path)
     reach = path.reach(slam.atlas, after(frames[5], 1.0))

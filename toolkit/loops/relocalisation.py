@@ -49,6 +49,8 @@ class Relocalisation:
 # Number of most similar keyframes that are matched with the frame, and number retrieved for each of
 # them, before those out of reach are removed.
 _TRIES, _POOL_FACTOR = 5, 4
+# Distance from a camera of the keyframes that show the same view.
+_SEEN_FROM_M = 2.0
 # Poses farther apart are different places, and a frame may be at either of them if its likeness at
 # one is this fraction of that at the other one.
 _APART_M, _APART_RAD, _AS_ALIKE = 0.3, 0.3, 0.95
@@ -115,13 +117,14 @@ class Relocaliser:
     def _matches(
         self, frame: Frame, atlas: Atlas, reach: Reach | None, part: Sequence[int]
     ) -> list[SimilarKeyframe]:
-        """The keyframes most similar to a frame, of those in reach."""
+        """The keyframes most similar to a frame, of those that may show what is in reach."""
         view = Keyframe.from_frame(frame, np.eye(4))
         if reach is None:
             return self._detector.most_similar(view, _TRIES)
         found = self._detector.most_similar(view, _POOL_FACTOR * _TRIES)
+        metres = reach.metres + _SEEN_FROM_M
         known = [s for s in found if s.submap in part]
-        return [s for s in known if _distance_m(s, atlas, reach) <= reach.metres][:_TRIES]
+        return [s for s in known if _distance_m(s, atlas, reach) <= metres][:_TRIES]
 
     def _align(
         self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker

@@ -74,9 +74,10 @@ class ConstantVelocity:
         self._certain = reliable and self._times in ([], [self._reliable_s])
         self._times.append(timestamp_s)
         self._poses.append(T_map_camera.copy())
-        if self._certain and len(self._poses) == 2:
+        elapsed_s = timestamp_s - self._times[0]
+        if self._certain and elapsed_s > 0.0:
             step = se3.log(se3.inverse(self._poses[0]) @ T_map_camera)
-            self._pace = mean_pace(self._pace, step / (timestamp_s - self._times[0]))
+            self._pace = mean_pace(self._pace, step / elapsed_s)
         if reliable:
             self._reliable_s = timestamp_s
 
