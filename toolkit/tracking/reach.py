@@ -22,9 +22,9 @@ from toolkit.tracking.views import Task
 _ANOTHER, _AS_GOOD, _AS_MUCH = 0.04, 0.95, 0.75
 # Distance from the pose of the features of a pose that is elsewhere.
 _ELSEWHERE = 0.3
-# How far the camera can have moved while it was lost, and how wrong the pose of a frame that was
+# How far a camera that somebody carries has moved while it was lost, and how wrong the pose of a frame that was
 # doubtful for so long can be, in metres and radians per second; and both from the start.
-_LOST_M_S, _LOST_RAD_S = 2.0, 4.0
+_LOST_M_S, _LOST_RAD_S = 1.5, 4.0
 _DOUBTFUL_M_S, _DOUBTFUL_RAD_S = 0.8, 0.6
 _ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
 # Part of a new velocity in the mean of the last ones, and multiple of that which a camera does not
@@ -70,7 +70,7 @@ class Reach:
 
 
 def mean_pace(pace: float, velocity: NDArray[np.float64]) -> float:
-    """Mean of the last velocities as a fraction of the highest of a camera in a hand.
+    """Mean of the last velocities as a fraction of that of a lost camera.
 
     It is above 1 if the clock is wrong: images without times count as those of 30 per second,
     however far the camera moved between them.
@@ -90,7 +90,7 @@ def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None
     The latter is doubtful unless it is the only one that the camera can have reached.
     """
     best = max(results, key=by_evidence)
-    if reach is None or not (best.health is Health.GOOD or best.ambiguous):
+    if reach is None or best.lost or not (best.health is Health.GOOD or best.ambiguous):
         return best
     fitting = [one for one in results if not one.lost and _fits_as_well(one, best)]
     nearest = min(fitting, key=lambda one: task.distance(reach.T_map_camera, one.T_map_camera))

@@ -27,9 +27,9 @@ from toolkit.tracking.reach import Reach
 Array = NDArray[np.float64]
 
 # Standard deviations of an unknown pose, metres and radians, and of one within reach, as a fraction
-# of that: the tests of loops allow about four.
+# of that: the tests of loops allow 4.7.
 _UNKNOWN_M, _UNKNOWN_RAD = 10.0, 3.0
-_OF_REACH = 0.25
+_OF_REACH = 0.21
 # Information between the submaps of a loaded map, whose relative poses are fixed.
 _RIGID = np.eye(6) * 1e9
 
