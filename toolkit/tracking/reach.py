@@ -22,14 +22,14 @@ from toolkit.tracking.views import Task
 _ANOTHER, _AS_GOOD, _AS_MUCH = 0.04, 0.95, 0.75
 # Distance from the pose of the features of a pose that is elsewhere.
 _ELSEWHERE = 0.3
-# How far a camera that somebody carries has moved while it was lost, and how wrong the pose of a frame that was
-# doubtful for so long can be, in metres and radians per second; and both from the start.
+# How far a camera that somebody carries has moved while it was lost, and how wrong the pose of a
+# frame that was doubtful for so long can be, in metres and radians per second; and both from the
+# start.
 _LOST_M_S, _LOST_RAD_S = 1.5, 4.0
 _DOUBTFUL_M_S, _DOUBTFUL_RAD_S = 0.8, 0.6
 _ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
-# Part of a new velocity in the mean of the last ones, and multiple of that which a camera does not
-# exceed.
-_NEW, _FASTER = 0.2, 2.0
+# Part of a new velocity in the mean of the last ones.
+_NEW = 0.2
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,7 @@ class Reach:
             lost_s: time since then. doubtful_s: time for which that pose had been doubtful.
             pace: mean of the velocities before (`mean_pace`).
         """
-        clock = max(1.0, _FASTER * pace)
-        lost_s, doubtful_s = clock * lost_s, clock * doubtful_s
+        lost_s, doubtful_s = max(1.0, pace) * lost_s, max(1.0, pace) * doubtful_s
         metres = _ANYHOW_M + _LOST_M_S * lost_s + _DOUBTFUL_M_S * doubtful_s
         radians = _ANYHOW_RAD + _LOST_RAD_S * lost_s + _DOUBTFUL_RAD_S * doubtful_s
         return cls(T_map_camera, metres, radians)
