@@ -40,7 +40,7 @@ def test_it_is_near_its_last_pose_for_some_time(tracked):
         reach = path.reach(slam.atlas, after(last, seconds))
         np.testing.assert_allclose(reach.T_map_camera, T_world_camera, atol=1e-9)
         assert reach.metres == pytest.approx(0.5 + 1.5 * seconds)
-        assert reach.radians == pytest.approx(0.5 + 4.0 * seconds)
+        assert reach.radians == pytest.approx(0.5 + 2.0 * seconds)
     assert CameraPath().reach(slam.atlas, last) is None
 
 

@@ -96,7 +96,7 @@ def test_the_pace_is_a_mean():
     walk, jump = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 40.0, 0.0, 0.0])
     pace = mean_pace(mean_pace(0.0, walk), walk)
     assert pace == pytest.approx(2.0 / 3.0)
-    assert mean_pace(pace, jump) == pytest.approx(pace + 0.2 * (10.0 - pace))
+    assert mean_pace(pace, jump) == pytest.approx(pace + 0.2 * (20.0 - pace))
 
 
 def test_of_two_poses_that_fit_the_possible_one_is_taken():

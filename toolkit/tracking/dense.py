@@ -68,8 +68,9 @@ _ITERATIONS = 12
 # Distance from the predicted pose (`Task.distance`) up to which alignment hardly ever converges to
 # a wrong pose, and distance up to which two results are the same.
 _EXPECTED, _SAME = 0.015, 0.004
-# Fraction of a frame that the map must cover to end a doubt.
-_SURE_COVERED = 0.25
+# Fraction of a frame that the map must cover to end a doubt, and number of such frames after an
+# ambiguous one: where nothing is determined, single frames seem to determine something by chance.
+_SURE_COVERED, _PROOFS = 0.25, 2
 # Number of pyramid levels aligned from poses that are accurate to a few pixels.
 _FINE_LEVELS = 2
 
@@ -96,7 +97,7 @@ class DenseTracker(MovingTracker):
         self._newest: FrameLevel | None = None
         self._scales = INITIAL_SCALES
         self._exposure = IDENTITY
-        self._ambiguous = self._doubtful = False
+        self._ambiguous, self._proofs = False, 0
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
         """Compute a frame's pyramid on a GPU while earlier frames are tracked.
@@ -111,7 +112,7 @@ class DenseTracker(MovingTracker):
         scales = [self._scales.intensity, self._scales.depth_m]
         exposure = [self._exposure.gain, self._exposure.bias]
         own = {"scales": np.array(scales), "exposure": np.array(exposure)}
-        own |= {"ambiguous": np.array(self._ambiguous), "doubtful": np.array(self._doubtful)}
+        own |= {"ambiguous": np.array(self._ambiguous), "proofs": np.array(self._proofs)}
         features = {f"features/{name}": a for name, a in self._landmarks.state().items()}
         return super().state() | own | features
 
@@ -120,7 +121,7 @@ class DenseTracker(MovingTracker):
         super().restore(state)
         self._scales = ResidualScales(*(float(s) for s in state["scales"]))
         self._exposure = Exposure(*(float(value) for value in state["exposure"]))
-        self._ambiguous, self._doubtful = bool(state["ambiguous"]), bool(state["doubtful"])
+        self._ambiguous, self._proofs = bool(state["ambiguous"]), int(state["proofs"])
         self._landmarks.restore(arrays_below(state, "features/"))
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
@@ -144,7 +145,7 @@ class DenseTracker(MovingTracker):
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
         """Continue from a pose [4, 4], without a velocity."""
         super().continue_from(timestamp_s, T_map_camera)
-        self._ambiguous = self._doubtful = False
+        self._ambiguous, self._proofs = False, 0
         self._landmarks = Landmarks(self._newest, T_map_camera)
 
     def track(
@@ -162,7 +163,7 @@ class DenseTracker(MovingTracker):
         result = self.locate(
             frame, gaussians, *starts, proposals=proposals, features=features, reach=reach
         )
-        result = self._believed(frame, result, reach)
+        found, result = result, self._believed(frame, result, reach)
         two_motions = features is not None and features.motions is not None
         if result.health is Health.GOOD or (result.ambiguous and not (result.lost or two_motions)):
             # In other directions than the ambiguous one, the velocity is known.
@@ -175,7 +176,8 @@ class DenseTracker(MovingTracker):
             self._exposure = result.exposure
         elif not result.ambiguous and has_depth(frame):
             self._scales = relaxed_scales(self._scales)
-        self._ambiguous, self._doubtful = result.ambiguous, result.health is not Health.GOOD
+        self._proofs = self._proofs_after(result if result.lost else found, reach)
+        self._ambiguous = result.ambiguous
         if result.lost:
             self._landmarks.undo()
         else:
@@ -189,15 +191,21 @@ class DenseTracker(MovingTracker):
     ) -> TrackingResult:
         """The result of a frame, as far as the frames before let one believe it."""
         bound = self.motion.bound(frame.timestamp_s)
-        if result.lost or reach is None:
-            return result
-        if bound is not None and not bound.contains(result.T_map_camera):
+        if not result.lost and bound is not None and not bound.contains(result.T_map_camera):
             return contradicted(result, "the camera cannot have moved so far")
-        # In a periodic view, the motion since an ambiguous frame may be one by a period.
-        possible = not self._ambiguous or reach.contains(result.T_map_camera)
-        if self._doubtful and not (possible and is_clear(result.similarity, _SURE_COVERED)):
-            return doubted(result, "the frame before is doubtful, and this one is not clear")
+        if result.health is Health.GOOD and self._proofs_after(result, reach) > 0:
+            result = doubted(result, "a frame before is doubtful, and this one does not prove more")
+            return replace(result, ambiguous=self._ambiguous)
         return result
+
+    def _proofs_after(self, result: TrackingResult, reach: Reach | None) -> int:
+        """Number of clear frames after this one that end the doubt; 0 without one."""
+        if result.health is not Health.GOOD:
+            return _PROOFS if result.ambiguous else max(1, self._proofs)
+        # In a periodic view, the motion since an ambiguous frame may be one by a period.
+        possible = not self._ambiguous or reach is None or reach.contains(result.T_map_camera)
+        clear = possible and is_clear(result.similarity, _SURE_COVERED)
+        return max(self._proofs - int(clear), 0)
 
     def locate(
         self,

@@ -42,7 +42,8 @@ class ConstantVelocity:
             return None
         elapsed_s = timestamp_s - self._times[-1]
         if len(self._poses) < 2 or not self._certain:
-            metres, radians = _SPEED * elapsed_s, _ANGULAR_SPEED * elapsed_s
+            at_pace_s = max(1.0, self._pace) * elapsed_s
+            metres, radians = _SPEED * at_pace_s, _ANGULAR_SPEED * at_pace_s
         else:
             # The velocity is that in the middle of the time between both poses.
             squared = 0.5 * elapsed_s * (elapsed_s + self._times[-1] - self._times[-2])

@@ -25,7 +25,7 @@ _ELSEWHERE = 0.3
 # How far a camera that somebody carries has moved while it was lost, and how wrong the pose of a
 # frame that was doubtful for so long can be, in metres and radians per second; and both from the
 # start.
-_LOST_M_S, _LOST_RAD_S = 1.5, 4.0
+_LOST_M_S, _LOST_RAD_S = 1.5, 2.0
 _DOUBTFUL_M_S, _DOUBTFUL_RAD_S = 0.8, 0.6
 _ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
 # Part of a new velocity in the mean of the last ones.
