@@ -122,7 +122,7 @@ def test_a_doubt_ends_only_with_clear_evidence(room, gaussians, monkeypatch):
     with monkeypatch.context() as unclear:
         unclear.setattr(dense, "_SURE_COVERED", 0.99)
         found = tracker.track(room.frames[2], gaussians)
-    assert found.doubtful and "a frame before" in found.reason
+    assert found.doubtful and "doubtful frames" in found.reason
     assert_same_place(found.T_map_camera, room.T_map_camera[2], mm=5.0, deg=0.3)
     assert tracker.track(room.frames[3], gaussians).health is Health.GOOD
 

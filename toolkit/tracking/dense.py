@@ -194,7 +194,7 @@ class DenseTracker(MovingTracker):
         if not result.lost and bound is not None and not bound.contains(result.T_map_camera):
             return contradicted(result, "the camera cannot have moved so far")
         if result.health is Health.GOOD and self._proofs_after(result, reach) > 0:
-            result = doubted(result, "a frame before is doubtful, and this one does not prove more")
+            result = doubted(result, "after doubtful frames, this one alone is not enough evidence")
             return replace(result, ambiguous=self._ambiguous)
         return result
 
