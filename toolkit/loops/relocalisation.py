@@ -16,7 +16,6 @@ from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import SimilarKeyframe
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.options import RelocalisationOptions
-from toolkit.mapping.keyframes import view_motions
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.evidence import likeness
@@ -93,7 +92,7 @@ class Relocaliser:
         """
         if not has_depth(frame):
             return None
-        results = []
+        found = []
         for match in self._matches(frame, atlas, reach, part):
             try:
                 submap = atlas.submap(match.submap)
@@ -103,16 +102,10 @@ class Relocaliser:
                 continue
             for keyframe in submap.keyframes:
                 if keyframe.index == match.frame:
-                    found = self._align(frame, keyframe, submap, tracker)
-                    results += [] if found is None else [found]
-        places = [atlas.T_world_submap(one.submap) @ one.T_submap_camera for one in results]
-        return _only_place(
-            [
-                (one, T)
-                for one, T in zip(results, places, strict=True)
-                if reach is None or reach.contains(T)
-            ]
-        )
+                    result = self._align(frame, keyframe, submap, tracker)
+                    found += [] if result is None else [result]
+        placed = [(one, atlas.T_world_submap(one.submap) @ one.T_submap_camera) for one in found]
+        return _only_place([(one, T) for one, T in placed if reach is None or reach.contains(T)])
 
     def _matches(
         self, frame: Frame, atlas: Atlas, reach: Reach | None, part: Sequence[int]
@@ -156,11 +149,10 @@ def _only_place(found: Sequence[tuple[Relocalisation, NDArray]]) -> Relocalisati
     if not found:
         return None
     best, T_best = max(found, key=lambda one: _likeness(one[0]))
-    for other, T_other in found:
-        metres, radians = view_motions([T_best], T_other)
-        apart = metres[0] > _APART_M or radians[0] > _APART_RAD
-        if apart and _likeness(other) > _AS_ALIKE * _likeness(best):
-            return None
+    same_place = Reach(T_best, _APART_M, _APART_RAD)
+    others = (other for other, T in found if not same_place.contains(T))
+    if any(_likeness(other) > _AS_ALIKE * _likeness(best) for other in others):
+        return None
     return best
 
 

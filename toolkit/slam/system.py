@@ -206,10 +206,8 @@ class Slam:
         located = self._locator.locate(frame, may_map)
         T_map_camera, tracking = located.T_map_camera, located.tracking
         if T_map_camera is None:
-            reason, ambiguous = (
-                ("", False) if tracking is None else (tracking.reason, tracking.ambiguous)
-            )
-            self._path.add_lost(frame, reason, ambiguous=ambiguous)
+            lost = tracking or not_tracked("")
+            self._path.add_lost(frame, lost.reason, ambiguous=lost.ambiguous)
             return FrameResult(frame.index, None, tracking)
 
         mapping = None

@@ -163,39 +163,31 @@ class DenseTracker(MovingTracker):
         result = self.locate(
             frame, gaussians, *starts, proposals=proposals, features=features, reach=reach
         )
-        found, result = result, self._believed(frame, result, reach)
+        bound = self.motion.bound(frame.timestamp_s)
+        if not result.lost and bound is not None and not bound.contains(result.T_map_camera):
+            result = contradicted(result, "the camera cannot have moved so far")
+        proofs = self._proofs_after(result, reach)
+        if result.health is Health.GOOD and proofs > 0:
+            result = doubted(result, "after doubtful frames, this one alone is not enough evidence")
+            result = replace(result, ambiguous=self._ambiguous)
+        good = result.health is Health.GOOD
         two_motions = features is not None and features.motions is not None
-        if result.health is Health.GOOD or (result.ambiguous and not (result.lost or two_motions)):
+        if good or (result.ambiguous and not (result.lost or two_motions)):
             # In other directions than the ambiguous one, the velocity is known.
-            reliable = result.health is Health.GOOD
-            self.motion.update(frame.timestamp_s, result.T_map_camera, reliable)
+            self.motion.update(frame.timestamp_s, result.T_map_camera, reliable=good)
         else:
             self.motion.forget_velocity()
-        if result.health is Health.GOOD:
+        if good:
             self._scales = ResidualScales(result.intensity_residual, result.depth_residual_m)
             self._exposure = result.exposure
         elif not result.ambiguous and has_depth(frame):
             self._scales = relaxed_scales(self._scales)
-        self._proofs = self._proofs_after(result if result.lost else found, reach)
-        self._ambiguous = result.ambiguous
+        self._ambiguous, self._proofs = result.ambiguous, proofs
         if result.lost:
             self._landmarks.undo()
         else:
             with self._recorder.timed(Stage.TRACKING_FEATURES):
-                certain = result.health is Health.GOOD
-                self._landmarks.extend(self._newest, result.T_map_camera, certain)
-        return result
-
-    def _believed(
-        self, frame: Frame, result: TrackingResult, reach: Reach | None
-    ) -> TrackingResult:
-        """The result of a frame, as far as the frames before let one believe it."""
-        bound = self.motion.bound(frame.timestamp_s)
-        if not result.lost and bound is not None and not bound.contains(result.T_map_camera):
-            return contradicted(result, "the camera cannot have moved so far")
-        if result.health is Health.GOOD and self._proofs_after(result, reach) > 0:
-            result = doubted(result, "after doubtful frames, this one alone is not enough evidence")
-            return replace(result, ambiguous=self._ambiguous)
+                self._landmarks.extend(self._newest, result.T_map_camera, certain=good)
         return result
 
     def _proofs_after(self, result: TrackingResult, reach: Reach | None) -> int:
