@@ -152,6 +152,16 @@ def test_a_pose_out_of_reach_shows_a_place_that_looks_the_same(near_each):
     assert find(within(1.5), tracker=Tracker(T_moved=at(3.0))) is None
 
 
+@pytest.mark.parametrize(("metres", "found"), [(3.0, True), (3.9, False)])
+def test_a_place_that_looks_alike_may_be_on_the_other_side(near_each, monkeypatch, metres, found):
+    # The frame looks like two places that are 4 m apart. The camera may be 4 m before the first.
+    for index in (10, 40, 50):
+        monkeypatch.delitem(POSITIONS_M, index)
+    reach = Reach(at(1.0 - 0.4), metres, np.pi)
+    result = Relocaliser(Detector()).find(lost_frame(0.0), Map(), Tracker((0.9, 0.9)), reach, (0,))
+    assert (result is not None) == found
+
+
 @pytest.mark.parametrize(
     ("changes", "found"),
     [

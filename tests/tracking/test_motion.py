@@ -86,6 +86,32 @@ def test_forgetting_the_velocity_keeps_the_place():
     assert np.array_equal(motion.last(), place)
 
 
+@pytest.mark.parametrize(
+    ("interval_s", "after_s", "moved_m", "moved_on"),
+    [
+        (0.1, 1.0, 1.0, True),
+        (0.1, 1.0, 0.1, False),
+        (0.1, 0.45, 1.0, False),
+        (0.03, 0.45, 1.0, True),
+    ],
+    ids=["after a gap", "stayed", "a few frames", "many frames"],
+)
+def test_after_a_gap_the_camera_may_be_elsewhere(interval_s, after_s, moved_m, moved_on):
+    motion = moving(np.zeros(6), np.zeros(6), interval_s)
+    motion.forget_velocity()  # a lost frame does not change how often frames come
+    there = se3.exp(np.array([moved_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    restored = ConstantVelocity.from_state(motion.state())
+    for model in (motion, restored):
+        assert model.has_moved_on(interval_s + after_s, there) == moved_on
+
+
+def test_without_frames_there_is_no_gap():
+    motion = ConstantVelocity()
+    assert not motion.has_moved_on(9.0, np.eye(4))
+    motion.update(0.0, se3.exp(np.ones(6)))
+    assert not motion.has_moved_on(9.0, np.eye(4))
+
+
 def test_poses_are_copied():
     motion = ConstantVelocity()
     pose = np.eye(4)

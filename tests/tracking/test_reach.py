@@ -11,7 +11,7 @@ from toolkit.alignment.similarity import Similarity
 from toolkit.geometry import se3
 from toolkit.tracking.feature_pose import FeaturePose
 from toolkit.tracking.motion import ConstantVelocity
-from toolkit.tracking.reach import Reach, likeliest, mean_pace, unless_contradicted
+from toolkit.tracking.reach import Reach, is_only_place, likeliest, mean_pace, unless_contradicted
 from toolkit.tracking.result import Health, TrackingResult, not_tracked
 
 
@@ -161,3 +161,20 @@ def test_features_tell_a_place_from_one_that_looks_like_it(features, metres: flo
     kept = unless_contradicted(MetreTask(features), result, reach)  # type: ignore[arg-type]
     assert kept.lost == lost and (lost or kept is result)
     assert unless_contradicted(MetreTask(features), result, None) is result  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("others_m", "centre_m", "only"),
+    [
+        ([], 1.0, True),
+        ([2.2], 1.0, True),
+        ([4.0], 3.0, False),
+        ([6.0], 1.0, True),
+        ([4.0], 1.0, False),
+    ],
+    ids=["alone", "the same", "in reach", "out of reach", "out of reach, the opposite in it"],
+)
+def test_a_place_is_known_if_no_other_one_looks_like_it(others_m, centre_m, only):
+    # What looks like 2 m and 4 m may be at 0 m, too.
+    possible = Reach(aside(centre_m), 2.5, 1.0).contains
+    assert is_only_place(aside(2.0), map(aside, others_m), possible) == only

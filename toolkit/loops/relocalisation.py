@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.tracking.evidence import likeness
 from toolkit.tracking.health import has_depth
-from toolkit.tracking.reach import Reach
+from toolkit.tracking.reach import Reach, is_only_place
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.tracker import LocatingTracker
 
@@ -50,9 +50,8 @@ class Relocalisation:
 _TRIES, _POOL_FACTOR = 5, 4
 # Distance from a camera of the keyframes that show the same view.
 _SEEN_FROM_M = 2.0
-# Poses farther apart are different places, and a frame may be at either of them if its likeness at
-# one is this fraction of that at the other one.
-_APART_M, _APART_RAD, _AS_ALIKE = 0.3, 0.3, 0.95
+# A frame may be at another place, too, if its likeness there is this fraction of the best one.
+_AS_ALIKE = 0.95
 # Maximum robust scale of the photometric residuals, for intensities in [0, 1]: less than for a
 # tracked frame, since no neighbouring frame confirms the pose.
 _MAX_INTENSITY_RESIDUAL = 0.1
@@ -92,8 +91,27 @@ class Relocaliser:
         """
         if not has_depth(frame):
             return None
+        possible = (lambda _: True) if reach is None else reach.contains
+        near, far = self._matches(frame, atlas, reach, part)
+        located = self._located(frame, near, atlas, tracker)
+        found = [(one, T) for one, T in located if possible(T)]
+        if not found:
+            return None
+        best, T_best = max(found, key=lambda one: _likeness(one[0]))
+        located += self._located(frame, far, atlas, tracker)
+        alike = [T for other, T in located if _likeness(other) > _AS_ALIKE * _likeness(best)]
+        return best if is_only_place(T_best, alike, possible) else None
+
+    def _located(
+        self,
+        frame: Frame,
+        matches: Iterable[SimilarKeyframe],
+        atlas: Atlas,
+        tracker: LocatingTracker,
+    ) -> list[tuple[Relocalisation, NDArray]]:
+        """Results of alignment to the submaps of keyframes, with the poses T_world_camera."""
         found = []
-        for match in self._matches(frame, atlas, reach, part):
+        for match in matches:
             try:
                 submap = atlas.submap(match.submap)
             except ToolkitError as error:
@@ -104,20 +122,20 @@ class Relocaliser:
                 if keyframe.index == match.frame:
                     result = self._align(frame, keyframe, submap, tracker)
                     found += [] if result is None else [result]
-        placed = [(one, atlas.T_world_submap(one.submap) @ one.T_submap_camera) for one in found]
-        return _only_place([(one, T) for one, T in placed if reach is None or reach.contains(T)])
+        return [(one, atlas.T_world_submap(one.submap) @ one.T_submap_camera) for one in found]
 
     def _matches(
         self, frame: Frame, atlas: Atlas, reach: Reach | None, part: Sequence[int]
-    ) -> list[SimilarKeyframe]:
-        """The keyframes most similar to a frame, of those that may show what is in reach."""
+    ) -> tuple[list[SimilarKeyframe], list[SimilarKeyframe]]:
+        """The keyframes most similar to a frame that may show what is in reach, and others."""
         view = Keyframe.from_frame(frame, np.eye(4))
         if reach is None:
-            return self._detector.most_similar(view, _TRIES)
+            return self._detector.most_similar(view, _TRIES), []
         found = self._detector.most_similar(view, _POOL_FACTOR * _TRIES)
         metres = reach.metres + _SEEN_FROM_M
         known = [s for s in found if s.submap in part]
-        return [s for s in known if _distance_m(s, atlas, reach) <= metres][:_TRIES]
+        near = [s for s in known if _distance_m(s, atlas, reach) <= metres]
+        return near[:_TRIES], [s for s in known if s not in near][:_TRIES]
 
     def _align(
         self, frame: Frame, keyframe: Keyframe, submap: Submap, tracker: LocatingTracker
@@ -138,22 +156,6 @@ def is_found(result: TrackingResult, options: RelocalisationOptions) -> bool:
         and result.visible_fraction >= options.min_visible
         and result.intensity_residual <= _MAX_INTENSITY_RESIDUAL
     )
-
-
-def _only_place(found: Sequence[tuple[Relocalisation, NDArray]]) -> Relocalisation | None:
-    """The likeliest result; None without any, or if another place looks like the frame, too.
-
-    Args:
-        found: results with the poses T_world_camera [4, 4].
-    """
-    if not found:
-        return None
-    best, T_best = max(found, key=lambda one: _likeness(one[0]))
-    same_place = Reach(T_best, _APART_M, _APART_RAD)
-    others = (other for other, T in found if not same_place.contains(T))
-    if any(_likeness(other) > _AS_ALIKE * _likeness(best) for other in others):
-        return None
-    return best
 
 
 def _likeness(found: Relocalisation) -> float:

@@ -166,6 +166,10 @@ class DenseTracker(MovingTracker):
         bound = self.motion.bound(frame.timestamp_s)
         if not result.lost and bound is not None and not bound.contains(result.T_map_camera):
             result = contradicted(result, "the camera cannot have moved so far")
+        # After a gap, nothing but this frame tells where the camera went, and doors are alike.
+        moved_on = self.motion.has_moved_on(frame.timestamp_s, result.T_map_camera)
+        if moved_on and features is None and not result.lost:
+            result = contradicted(result, "after a gap, the camera may be at a similar place")
         proofs = self._proofs_after(result, reach)
         if result.health is Health.GOOD and proofs > 0:
             result = doubted(result, "after doubtful frames, this one alone is not enough evidence")

@@ -13,6 +13,11 @@ _ACCELERATION, _ANGULAR_ACCELERATION = 10.0, 50.0
 _SPEED, _ANGULAR_SPEED = 2.0, 4.0
 # Error of a pose that was extrapolated from two poses.
 _ERROR_M, _ERROR_RAD = 0.01, 0.02
+# Time without a pose, in seconds and in intervals of frames, after which the camera may be
+# elsewhere; and the part of a new interval in their mean.
+_GAP_S, _GAP_INTERVALS, _NEW = 0.4, 5.0, 0.2
+# Distance from the predicted pose of a camera that has not moved on during a gap.
+_STAYED_M, _STAYED_RAD = 0.3, 0.3
 
 
 class ConstantVelocity:
@@ -22,6 +27,7 @@ class ConstantVelocity:
         self._times: list[float] = []
         self._poses: list[NDArray[np.float64]] = []
         self._certain, self._reliable_s, self._pace = True, 0.0, 0.0
+        self._interval_s = 0.0
         self._corrected = 0
 
     def predict(self, timestamp_s: float) -> NDArray[np.float64]:
@@ -58,6 +64,15 @@ class ConstantVelocity:
         lost_s, doubtful_s = timestamp_s - self._times[-1], self._times[-1] - self._reliable_s
         return Reach.after(self._poses[-1], lost_s, doubtful_s, self._pace)
 
+    def has_moved_on(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> bool:
+        """Whether a pose [4, 4] is another place than the predicted one, after a gap."""
+        if not self._times or self._interval_s == 0.0:
+            return False
+        gap_s = timestamp_s - self._times[-1]
+        if gap_s <= max(_GAP_S, _GAP_INTERVALS * self._interval_s):
+            return False
+        return not Reach(self.predict(timestamp_s), _STAYED_M, _STAYED_RAD).contains(T_map_camera)
+
     def last(self) -> NDArray[np.float64] | None:
         """The newest pose [4, 4], or None."""
         return self._poses[-1].copy() if self._poses else None
@@ -79,6 +94,8 @@ class ConstantVelocity:
         if self._certain and elapsed_s > 0.0:
             step = se3.log(se3.inverse(self._poses[0]) @ T_map_camera)
             self._pace = mean_pace(self._pace, step / elapsed_s)
+            new = elapsed_s - self._interval_s
+            self._interval_s += new if self._interval_s == 0.0 else _NEW * new
         if reliable:
             self._reliable_s = timestamp_s
 
@@ -107,6 +124,7 @@ class ConstantVelocity:
             "certain": np.array(self._certain),
             "reliable_s": np.array(self._reliable_s),
             "pace": np.array(self._pace),
+            "interval_s": np.array(self._interval_s),
         }
 
     @classmethod
@@ -118,4 +136,5 @@ class ConstantVelocity:
         model._corrected = int(state["corrected"])
         model._certain, model._pace = bool(state["certain"]), float(state["pace"])
         model._reliable_s = float(state["reliable_s"])
+        model._interval_s = float(state["interval_s"])
         return model

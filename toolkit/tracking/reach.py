@@ -6,7 +6,7 @@ it can have reached more than one of them, the frame alone does not tell where i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,8 @@ _ELSEWHERE = 0.3
 _LOST_M_S, _LOST_RAD_S = 1.5, 2.0
 _DOUBTFUL_M_S, _DOUBTFUL_RAD_S = 0.8, 0.6
 _ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
+# Poses that are farther apart than this are those of different places.
+_APART_M, _APART_RAD = 0.3, 0.3
 # Part of a new velocity in the mean of the last ones.
 _NEW = 0.2
 
@@ -66,6 +68,28 @@ class Reach:
         motion = se3.inverse(self.T_map_camera) @ T_map_camera
         near = float(np.linalg.norm(motion[:3, 3])) <= self.metres
         return near and float(se3.rotation_angle_rad(motion[:3, :3])) <= self.radians
+
+
+def is_only_place(
+    T_map_camera: NDArray[np.float64],
+    others: Iterable[NDArray[np.float64]],
+    possible: Callable[[NDArray[np.float64]], bool],
+) -> bool:
+    """Whether a camera is at a place if what it sees looks like others, too.
+
+    Where a door looks like the next one, the one after that may not have been seen yet: another
+    place counts at its distance, in both directions.
+
+    Args:
+        T_map_camera: [4, 4] at the place. others: [4, 4] each, at the others.
+        possible: whether the camera can be at a pose.
+    """
+    place = Reach(T_map_camera, _APART_M, _APART_RAD)
+    for T_other in others:
+        T_opposite = se3.orthonormalise(T_map_camera @ se3.inverse(T_other) @ T_map_camera)
+        if not place.contains(T_other) and (possible(T_other) or possible(T_opposite)):
+            return False
+    return True
 
 
 def mean_pace(pace: float, velocity: NDArray[np.float64]) -> float:

@@ -18,6 +18,7 @@ from toolkit.geometry import se3
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import CandidateFinder
 from toolkit.loops.closing.closer import LoopCloser
+from toolkit.loops.closing.image_edges import ImageEdges, ImageLoops
 from toolkit.loops.closing.object_loops import ObjectHypotheses, ObjectHypothesis
 from toolkit.loops.closing.options import ClosingOptions, PairOptions
 from toolkit.loops.closing.pair_matching import PairMatcher, RoughMotion, VerifiedPair
@@ -514,7 +515,9 @@ class TestLost:
     )
     def test_a_loop_with_a_place_out_of_reach_is_none(self, frames, reach_m, closes):
         # The camera was 1 m beside the place of the last submap, which registration finds.
-        atlas, closer, _ = closed(frames)
+        (frame, T), *_ = frames[2:]
+        again = (replace(frame, index=22, timestamp_s=22.0), T)
+        atlas, closer, _ = closed([*frames, again], max_keyframes=4)
         last, beside = atlas.active, np.eye(4)
         beside[0, 3] = 1.0
         before = atlas.T_world_submap(last)
@@ -525,6 +528,40 @@ class TestLost:
         assert closer.close_between(atlas, last) == closes
         assert (len(closer.parts(atlas)) == 1) == closes
         assert np.array_equal(atlas.T_world_submap(last), before) == (not closes)
+
+    @pytest.mark.parametrize(
+        ("shifts_m", "beyond_m", "closes"),
+        [
+            ([0.0], [], False),
+            ([0.0, 0.1], [], True),
+            ([0.0, 0.1, 1.0], [], False),
+            ([0.0, 0.1], [1.5], False),
+            ([0.0, 0.1], [9.0], True),
+        ],
+        ids=["one query", "two", "two places", "another that is near", "another far away"],
+    )
+    def test_only_a_place_like_no_other_joins_a_submap(
+        self, frames, monkeypatch, shifts_m, beyond_m, closes
+    ):
+        def moved(metres):
+            T = atlas.T_world_submap(last)
+            T = se3.exp(np.array([metres, 0.0, 0.0, 0.0, 0.0, 0.0])) @ T
+            return PoseEdge.loop(0, last, T, np.eye(6) * 1e6)
+
+        atlas, closer, _ = closed(frames)
+        last = atlas.active
+        closer._odometry.links.pop()
+        closer._odometry.started_lost(atlas, None, Reach(atlas.T_world_submap(last), 2.0, 0.5))
+        edges = ImageEdges(
+            len(shifts_m),
+            list(map(moved, shifts_m)),
+            list(map(moved, beyond_m)),
+            list(range(len(shifts_m))),
+            [np.eye(4)] * len(shifts_m),
+        )
+        monkeypatch.setattr(ImageLoops, "_edges", lambda *_: edges)
+        assert closer.close_between(atlas, last) == closes
+        assert (len(closer.parts(atlas)) == 1) == closes
 
 
 class TestState:

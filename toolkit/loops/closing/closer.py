@@ -8,7 +8,7 @@ they seeded. Between submaps, edges are estimated by registration, and only anch
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -20,6 +20,7 @@ from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import LoopCandidate
+from toolkit.loops.closing.image_edges import ImageEdges, ImageLoops
 from toolkit.loops.closing.keyframe_loops import KeyframeLoops
 from toolkit.loops.closing.log_entries import correction_values, motion_values, verdict
 from toolkit.loops.closing.odometry import SubmapOdometry
@@ -76,6 +77,7 @@ class LoopCloser:
         self._pending: list[LoopCandidate] = []
         self._deferred = False
         self._between = SubmapLoops(parts, self.options, self._record)
+        self._images = ImageLoops(parts, self._record)
 
     def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
         """Keyframes of the active submap that look most similar to a view; see `LoopClosing`."""
@@ -225,14 +227,23 @@ class LoopCloser:
             found = False
             # After a relocalisation, two submaps have a loop edge before they are registered.
             existing = {(loop.first, loop.second): loop for loop in self.loops}
-            by_objects = self._between.suspected_by_objects(
-                atlas, number, candidates, self._odometry.links
-            )
-            for other in sorted({c.match_submap for c in candidates} | by_objects):
+            links = self._odometry.links
+            by_objects = self._between.suspected_by_objects(atlas, number, candidates, links)
+            suspected = {c.match_submap for c in candidates} | by_objects
+            if number in self._odometry.ended and not self._deferred:
+                # The camera was here again.
+                suspected -= {n for pair in existing if number in pair for n in pair}
+            images: Mapping[int, ImageEdges | None] = dict.fromkeys(sorted(suspected))
+            if self._parts.verification is not None:
+                parts = [
+                    [n for n in part if n in {*suspected, number}] for part in self.parts(atlas)
+                ]
+                images = self._images.unambiguous(atlas, number, parts, candidates, links)
+            for other, found_by_images in images.items():
                 edge = existing.get((other, number)) or existing.get((number, other))
-                if edge is not None and number in self._odometry.ended and not self._deferred:
-                    continue  # the camera was here again
-                new = self._between.close(atlas, (other, number), candidates, self._odometry.links)
+                new = self._between.close(
+                    atlas, (other, number), candidates, links, found_by_images
+                )
                 if new is None and edge is not None:
                     pairs = [(c.query, c.match) for c in candidates if c.match_submap == other]
                     self._between.confirm(atlas, edge, pairs)

@@ -8,12 +8,13 @@ registrations of the wrong place.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.alignment.matching import Offset
+from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
 from toolkit.loops.closing.log_entries import Record, pair_values, verdict
@@ -23,11 +24,14 @@ from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
 from toolkit.loops.pose_graph.graph import PoseEdge, information_of
 from toolkit.loops.pose_graph.noise import path_between
 from toolkit.submaps.atlas import Atlas
+from toolkit.tracking.reach import is_only_place
 
 Array = NDArray[np.float64]
 
 # Maximum angle between the pose of two images and that of a registration that agree.
 _MAX_RAD = 0.035
+# Number of queries that must show the same place if the relative pose of two submaps is unknown.
+_MIN_QUERIES = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +41,15 @@ class ImageEdges:
     Attributes:
         matched: number of candidate pairs with enough feature matches.
         edges: edges of the verified pairs that agree with the odometry, most matches first.
+        beyond: edges of the verified pairs that the odometry contradicts.
+        queries: frame of each edge's query.
         T_second_query: [4, 4] pose of each edge's query in the second submap.
     """
 
     matched: int
     edges: list[PoseEdge]
+    beyond: list[PoseEdge]
+    queries: list[int]
     T_second_query: list[Array]
 
     def contradiction(self, T_first_second: Array, max_m: float) -> str:
@@ -71,17 +79,96 @@ class ImageLoops:
     def __init__(self, parts: ClosingParts, record: Record) -> None:
         self._parts, self._record = parts, record
 
-    def edges(
+    def unambiguous(
+        self,
+        atlas: Atlas,
+        number: int,
+        parts: Sequence[Sequence[int]],
+        candidates: Sequence[LoopCandidate],
+        odometry: Sequence[PoseEdge],
+    ) -> dict[int, ImageEdges]:
+        """What images say about a submap and each older one, without ambiguous loops.
+
+        A submap whose pose relative to a part of the map is unknown is joined to it only if it
+        looks like a single place of it. Submaps that cannot be read are left out.
+
+        Args:
+            number: of the submap of the queries.
+            parts: the numbers of the older submaps, by submaps whose relative poses are known.
+            candidates: all candidate pairs of the submap.
+            odometry: edges between anchors.
+        """
+        images: dict[int, ImageEdges] = {}
+        for part in parts:
+            known, found = number in part, {}
+            for other in part:
+                if other == number:
+                    continue
+                pairs = [c for c in candidates if c.match_submap == other]
+                try:
+                    found[other] = self._edges(atlas, (other, number), pairs, odometry, not known)
+                except ToolkitError as error:
+                    self._reject(other, number, str(error))
+            matched = [one for one in found.values() if one.matched > 0]
+            reason = "" if known or not matched else self._ambiguity(atlas, matched, odometry)
+            if reason:
+                for other in found:
+                    self._reject(other, number, reason)
+            else:
+                images |= found
+        return dict(sorted(images.items()))
+
+    def _reject(self, first: int, second: int, reason: str) -> None:
+        self._record("between", {"first": first, "second": second} | verdict(reason))
+
+    def _ambiguity(
+        self, atlas: Atlas, found: Sequence[ImageEdges], odometry: Sequence[PoseEdge]
+    ) -> str:
+        """Why images do not tell where a submap of unknown pose is; empty if they do.
+
+        After frames without a pose, the odometry permits places metres apart, and a door looks
+        like the next one. Several queries must then show one place, and none another one.
+
+        Args:
+            found: what the images of the submap and of each submap of one part say.
+        """
+        if len({query for one in found for query in one.queries}) < _MIN_QUERIES:
+            return f"images of {_MIN_QUERIES} keyframes are needed after frames without a pose"
+        best, T_second_query = next(
+            (one.edges[0], one.T_second_query[0]) for one in found if one.edges
+        )
+        T_query_second = se3.inverse(T_second_query)
+        T_first_world = se3.inverse(atlas.T_world_submap(best.first))
+
+        def possible(T_world_query: Array) -> bool:
+            T = se3.orthonormalise(T_first_world @ T_world_query @ T_query_second)
+            return not self._contradiction(odometry, replace(best, T_first_second=T))
+
+        place, *others = (
+            atlas.T_world_submap(edge.first) @ edge.T_first_second @ T_second_query
+            for edge in (best, *(edge for one in found for edge in (*one.edges, *one.beyond)))
+        )
+        if is_only_place(place, others, possible):
+            return ""
+        return "the images look like several places where the camera may be"
+
+    def _contradiction(self, odometry: Sequence[PoseEdge], edge: PoseEdge) -> str:
+        """Why the odometry contradicts an edge; empty if it does not."""
+        return consistent_loops(OdometryChain(odometry), [edge], self._parts.pose_graph).reason(0)
+
+    def _edges(
         self,
         atlas: Atlas,
         submaps: tuple[int, int],
         candidates: Sequence[LoopCandidate],
         odometry: Sequence[PoseEdge],
+        every: bool,
     ) -> ImageEdges:
-        """At most one edge for each query among the candidate pairs of two submaps.
+        """The edges of the candidate pairs of two submaps.
 
         Args:
             submaps: numbers of the older submap, of the matches, and of the queries' submap.
+            every: whether all pairs of a query are verified, instead of the first one that passes.
 
         Raises:
             ToolkitError: a submap cannot be read.
@@ -92,7 +179,8 @@ class ImageLoops:
         )
         matcher = self._parts.matcher
         matched = 0
-        found: list[tuple[int, PoseEdge, Array]] = []
+        found: list[tuple[int, int, PoseEdge, Array]] = []
+        beyond: list[PoseEdge] = []
         for query in dict.fromkeys(candidate.query for candidate in candidates):
             pairs = [(first[c.match], second[query]) for c in candidates if c.query == query]
             promising = matcher.most_matches(pairs)
@@ -105,15 +193,17 @@ class ImageLoops:
                 reason, edge = result.reason, None
                 if result.offset is not None and not reason:
                     edge = self._edge(atlas, submaps, (match.index, query), result.offset)
-                    reason = consistent_loops(
-                        OdometryChain(odometry), [edge], self._parts.pose_graph
-                    ).reason(0)
+                    reason = self._contradiction(odometry, edge)
                 self._record("images", values | pair_values(result) | verdict(reason))
-                if edge is not None and not reason:
-                    found.append((result.matches, edge, own.T_map_camera))
-                    break
+                if edge is not None and reason:
+                    beyond.append(edge)
+                elif edge is not None:
+                    found.append((result.matches, query, edge, own.T_map_camera))
+                    if not every:
+                        break
         found.sort(key=lambda entry: -entry[0])
-        return ImageEdges(matched, [edge for _, edge, _ in found], [T for _, _, T in found])
+        _, queries, edges, poses = zip(*found, strict=True) if found else ((), (), (), ())
+        return ImageEdges(matched, list(edges), beyond, list(queries), list(poses))
 
     def _edge(
         self, atlas: Atlas, submaps: tuple[int, int], frames: tuple[int, int], offset: Offset

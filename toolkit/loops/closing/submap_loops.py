@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
 from toolkit.loops.candidates import LoopCandidate
-from toolkit.loops.closing.image_edges import ImageEdges, ImageLoops
+from toolkit.loops.closing.image_edges import ImageEdges
 from toolkit.loops.closing.log_entries import Record, motion_values, registration_values, verdict
 from toolkit.loops.closing.object_loops import ObjectHypothesis
 from toolkit.loops.closing.options import ClosingOptions
@@ -48,7 +48,6 @@ class SubmapLoops:
 
     def __init__(self, parts: ClosingParts, options: ClosingOptions, record: Record) -> None:
         self._parts, self._options, self._record = parts, options, record
-        self._images = ImageLoops(parts, record)
 
     def overlapping(
         self,
@@ -128,6 +127,7 @@ class SubmapLoops:
         submaps: tuple[int, int],
         candidates: Sequence[LoopCandidate],
         odometry: Sequence[PoseEdge],
+        images: ImageEdges | None,
     ) -> PoseEdge | None:
         """The loop edge of two submaps; None without one.
 
@@ -139,6 +139,7 @@ class SubmapLoops:
             submaps: numbers of the older submap and of that of the queries.
             candidates: all candidate pairs of the second submap.
             odometry: edges between anchors.
+            images: what the images of the pairs say; not needed without tests.
         """
         pairs = [c for c in candidates if c.match_submap == submaps[0]]
         if self._parts.verification is None:
@@ -146,13 +147,9 @@ class SubmapLoops:
             if edge is not None:
                 self.confirm(atlas, edge, _frames(pairs))
             return edge
-        values = {"first": submaps[0], "second": submaps[1]}
-        try:
-            images = self._images.edges(atlas, submaps, pairs, odometry)
-        except ToolkitError as error:
-            self._record("between", values | verdict(str(error)))
-            return None
+        assert images is not None
         if images.matched == 0 and pairs:
+            values = {"first": submaps[0], "second": submaps[1]}
             reason = f"the images of none of {len(pairs)} candidate pairs match"
             self._record("between", values | verdict(reason))
         elif pairs:
