@@ -25,12 +25,18 @@ def pose(time_s: float) -> Array:
     return se3.exp(size * np.sin(2 * np.pi * hertz * time_s + phases))
 
 
-def exposed(times_s: Array) -> tuple[NDArray, NDArray]:
-    """Colour [H, W, 3] and depth [H, W] of an image whose rows have these times [H]."""
+def exposed(times_s: Array, k1: float = 0.0) -> tuple[NDArray, NDArray]:
+    """Colour [H, W, 3] and depth [H, W] of an image whose rows have these times [H].
+
+    Args:
+        k1: radial distortion of the lens.
+    """
     u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
-    rays = np.stack(
-        [(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1
-    )
+    bent = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy], axis=-1)
+    straight = bent
+    for _ in range(10):
+        straight = bent / (1.0 + k1 * (straight**2).sum(axis=-1, keepdims=True))
+    rays = np.concatenate([straight, np.ones((*u.shape, 1))], axis=-1)
     poses = np.array([pose(t) for t in times_s])
     directions = np.einsum("vij,vuj->vui", poses[:, :3, :3], rays)
     centres = poses[:, None, :3, 3]

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from toolkit.datasets.agreement.findings import contradictions
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.carrier import without_carrier
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
@@ -221,10 +222,11 @@ def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str
 
 
 def _agreement_faults(dataset: RecordedDataset) -> list[str]:
-    """Lines about unsuitable depth, and about poses that contradict depth and colour."""
+    """Lines about unsuitable depth, and about intrinsics and poses that contradict the images."""
     convention = judge_convention(dataset)
     verdict = convention.verdict() if convention else None
-    return [*depth_faults(dataset), *([verdict] if verdict else [])]
+    wrong = [verdict] if verdict else contradictions(dataset)
+    return [*depth_faults(dataset), *wrong]
 
 
 def _repeat_notes(findings: _Findings) -> list[str]:

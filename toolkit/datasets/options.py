@@ -62,6 +62,9 @@ class DatasetOptions:
     other camera axes, are inverted, left-handed or in another unit, or have quaternions in another
     order: check stops a run with given poses, trust uses them as they are, and correct converts
     them."""
+    pose_delay: Annotated[float, Range(ge=-10, le=10)] = 0.0
+    """Time in seconds by which poses of the recording are late against its images, as a run or
+    check-data reports it: the pose of an image is the one recorded so much later."""
     topics: BagTopics = BagTopics()
     ignore_carrier: bool = True
     """Ignore parts of the image that keep their depth and colour while the camera moves, because

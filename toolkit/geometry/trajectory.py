@@ -66,6 +66,30 @@ class Trajectory:
             return None
         return self.T_world_camera[nearest]
 
+    def interpolated(self, timestamp_s: float) -> NDArray[np.float64] | None:
+        """Return the pose [4, 4] between the poses before and after a time; None outside."""
+        at_a_pose = self.at(timestamp_s)
+        after = int(np.searchsorted(self.timestamps_s, timestamp_s))
+        if at_a_pose is not None or not 0 < after < len(self):
+            return at_a_pose
+        (start_s, end_s), (first, second) = (
+            values[after - 1 : after + 1] for values in (self.timestamps_s, self.T_world_camera)
+        )
+        share = (timestamp_s - start_s) / (end_s - start_s)
+        return se3.orthonormalise(first @ se3.exp(share * se3.log(se3.inverse(first) @ second)))
+
+    def delayed(self, delay_s: float) -> Trajectory:
+        """Return the trajectory of a camera whose poses were recorded late by a time.
+
+        The pose at a time becomes that at the time plus the delay, interpolated; poses without
+        another one so much later, or earlier, are omitted.
+        """
+        poses = [(t, self.interpolated(float(t) + delay_s)) for t in self.timestamps_s]
+        kept = [(t, pose) for t, pose in poses if pose is not None]
+        if not kept:
+            return Trajectory(np.empty(0), np.empty((0, 4, 4)))
+        return Trajectory(np.array([t for t, _ in kept]), np.stack([p for _, p in kept]))
+
     def transformed(self, T_new_world: NDArray[np.float64]) -> Trajectory:
         """Return the trajectory in another world frame."""
         return Trajectory(self.timestamps_s, T_new_world @ self.T_world_camera)

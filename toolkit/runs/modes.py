@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.agreement.findings import contradictions
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.findings import quick_findings
 from toolkit.datasets.images_only import ImagesOnly
@@ -169,10 +170,11 @@ class DepthCamera(RunMode):
         return RunInput(run.dataset)
 
     def findings(self, dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
-        """Those of the quick checks, and poses that contradict the images."""
+        """Those of the quick checks, and intrinsics and poses that contradict the images."""
         verdict = _verdict_on_poses(dataset)
-        wrong = "" if verdict is None else f"{verdict}; the errors of the trajectory are wrong"
-        return (*quick_findings(dataset), *filter(None, [wrong]))
+        if verdict is None:
+            return (*quick_findings(dataset), *contradictions(dataset))
+        return (*quick_findings(dataset), f"{verdict}; the errors of the trajectory are wrong")
 
     def front_end(self, parts: FrontEndParts) -> FrontEnd:
         """The tracker of the settings, with loop closure."""
@@ -209,10 +211,10 @@ class DepthAtGivenPoses(DepthCamera):
     given_poses = True
 
     def findings(self, dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
-        """Those of the quick checks."""
+        """Those of the quick checks, and intrinsics and poses that contradict the images."""
         findings, verdict = quick_findings(dataset), _verdict_on_poses(dataset)
         if verdict is None:
-            return findings
+            return (*findings, *contradictions(dataset))
         if settings.dataset.pose_convention == "check":
             raise DatasetError(
                 f"{settings.dataset.path}: {verdict}; correct them, or convert them with "

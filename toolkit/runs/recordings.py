@@ -8,6 +8,8 @@ import os
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.registry import open_dataset
+from toolkit.errors import SettingsError
+from toolkit.geometry.trajectory import Trajectory
 from toolkit.runs.modes import mode_of
 from toolkit.runs.settings import RunSettings
 
@@ -27,6 +29,7 @@ def open_recording(
 
     Raises:
         DatasetError: it does not exist or is inconsistent.
+        SettingsError: no poses are left by the delay of the settings.
     """
     place, needs_depth = settings.dataset, mode_of(settings).needs_depth
     dataset = open_dataset(
@@ -41,21 +44,29 @@ def open_recording(
         readout_ms=place.readout_ms,
         ignore_carrier=place.ignore_carrier,
     )
-    if place.pose_convention == "correct" and needs_depth:
-        _correct_poses(dataset)
+    given = dataset.recording.ground_truth
+    if given is not None and place.pose_convention == "correct" and needs_depth:
+        given = _corrected(dataset, given)
+    if given is not None and place.pose_delay:
+        given = given.delayed(place.pose_delay)
+        if not len(given):
+            raise SettingsError(
+                f"--dataset.pose-delay {place.pose_delay:g} leaves no poses of {dataset.name}; "
+                f"give a shorter time"
+            )
+    if given is not dataset.recording.ground_truth:
+        dataset.use_poses(given)
     return dataset
 
 
-def _correct_poses(dataset: RecordedDataset) -> None:
-    """Convert poses that contradict depth and colour to the convention that agrees with them."""
+def _corrected(dataset: RecordedDataset, given: Trajectory) -> Trajectory:
+    """Poses that contradict depth and colour, in the convention that agrees with them."""
     judged = judge_convention(dataset)
     if judged is None or judged.found is None or judged.found.is_ours:
-        return
-    given = dataset.recording.ground_truth
-    assert given is not None
+        return given
     _log.info(
         "%s: the given poses are converted, because depth and colour agree if %s",
         dataset.name,
         judged.found,
     )
-    dataset.use_poses(judged.found.applied(given))
+    return judged.found.applied(given)

@@ -1,0 +1,171 @@
+"""What is stated of a recording is compared with its images, and true statements pass."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from moving_room import CAMERA, exposed, pose
+
+from toolkit.datasets import checks
+from toolkit.datasets.agreement.findings import contradictions
+from toolkit.datasets.agreement.given_poses import is_jump, sudden_steps
+from toolkit.datasets.agreement.pairs import aligned_pair, aligned_pairs
+from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.registry import describe
+from toolkit.errors import SettingsError
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io import images
+from toolkit.io.trajectories import write_tum
+from toolkit.options import validated
+from toolkit.runs import modes
+from toolkit.runs.modes import mode_of
+from toolkit.runs.recordings import open_recording
+from toolkit.runs.settings import RunSettings
+
+FRAMES, FPS = 40, 20.0
+TIMES_S = np.arange(FRAMES) / FPS
+
+
+def recorded(folder: Path, k1: float = 0.0) -> Path:
+    """A folder of a shaking camera in a box room, with its true poses."""
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    for i, time_s in enumerate(TIMES_S):
+        rgb, depth_m = exposed(np.full(CAMERA.height, time_s), k1)
+        images.write_rgb(folder / f"rgb/{i:04d}.png", rgb)
+        images.write_depth_png(folder / f"depth/{i:04d}.png", depth_m, 5000.0)
+    names = ("fx", "fy", "cx", "cy", "width", "height")
+    intrinsics = {name: getattr(CAMERA, name) for name in names}
+    (folder / "intrinsics.yaml").write_text(
+        yaml.safe_dump(intrinsics | {"depth_scale": 5000.0, "fps": FPS})
+    )
+    write_tum(folder / "trajectory.txt", Trajectory(TIMES_S, np.array([*map(pose, TIMES_S)])))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    return describe("folder", recorded(tmp_path_factory.mktemp("agreement") / "box"))
+
+
+def found(recording, **changes):
+    return contradictions(RecordedDataset(replace(recording, **changes)))
+
+
+def test_true_statements_pass(box):
+    assert found(box) == []
+
+
+@pytest.mark.parametrize("factor", [1.2, 1.05, 0.9])
+def test_a_wrong_focal_length_is_named_with_the_right_one(box, factor):
+    wrong = replace(CAMERA, fx=factor * CAMERA.fx, fy=factor * CAMERA.fy)
+    (line,) = found(box, camera=wrong)
+    right, stated = map(float, re.search(r"length of (\S+) instead of (\S+);", line).groups())
+    assert right == pytest.approx(CAMERA.fx, rel=0.01) and stated == pytest.approx(
+        wrong.fx, abs=0.1
+    )
+
+
+def test_a_wrong_principal_point_is_named_with_the_right_one(box):
+    (line,) = found(box, camera=replace(CAMERA, cx=CAMERA.cx + 10.0))
+    x, y = map(float, re.search(r"point at \((\S+), (\S+)\) instead", line).groups())
+    assert (x, y) == pytest.approx((CAMERA.cx, CAMERA.cy), abs=0.5)
+
+
+def test_distortion_that_is_not_stated_is_named(tmp_path):
+    (line,) = found(describe("folder", recorded(tmp_path / "bent", k1=-0.2)))
+    assert float(re.search(r"k1 = (\S+) ", line)[1]) == pytest.approx(-0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("factor", [1.25, 0.9])
+def test_the_unit_of_depth_is_compared_with_that_of_poses(box, factor):
+    poses = box.ground_truth.T_world_camera.copy()
+    poses[:, :3, 3] *= factor
+    (line,) = found(box, ground_truth=Trajectory(TIMES_S, poses))
+    assert float(re.search(r"multiplied by (\S+) ", line)[1]) == pytest.approx(factor, rel=0.02)
+    scale = float(re.search(r"depth_scale (\S+) instead of 5000", line)[1])
+    assert scale == pytest.approx(5000.0 / factor, rel=0.02)
+
+
+@pytest.mark.parametrize("frames", [1, 3, -2])
+def test_a_delay_of_poses_is_named(box, frames, tmp_path):
+    delay_s = frames / FPS
+    late = Trajectory(TIMES_S, np.array([pose(t - delay_s) for t in TIMES_S]))
+    (line,) = found(box, ground_truth=late)
+    option = float(re.search(r"--dataset.pose-delay (\S+)$", line)[1])
+    assert option == pytest.approx(delay_s, abs=0.3 / FPS)
+    assert found(box, ground_truth=late.delayed(delay_s)) == []
+
+
+@pytest.mark.parametrize("poses", ["slam", "given"])
+def test_a_run_reports_what_contradicts_its_images(box, monkeypatch, poses):
+    settings = validated(RunSettings, {"poses": poses})
+    monkeypatch.setattr(modes, "contradictions", lambda _: ["a line"])
+    assert "a line" in mode_of(settings).findings(RecordedDataset(box), settings)
+
+
+def test_check_data_reports_it(box, monkeypatch):
+    monkeypatch.setattr(checks, "contradictions", lambda _: ["a line"])
+    short = replace(box, files=box.files[:3], readout_s=0.0)
+    assert "a line" in checks.check_recording(short).faults
+
+
+def test_a_jump_of_poses_is_named(box):
+    poses = box.ground_truth.T_world_camera.copy()
+    poses[25:, 0, 3] += 0.1
+    (line,) = found(box, ground_truth=Trajectory(TIMES_S, poses))
+    assert line.startswith("1 pose(s) jump") and "0025" in line
+
+
+def test_a_camera_that_is_pushed_does_not_jump(box):
+    # The pose is where the images are, however sudden the motion is.
+    times_s = TIMES_S + np.where(np.arange(FRAMES) >= 25, 4.0, 0.0) / FPS
+    given = Trajectory(TIMES_S, np.array([pose(t) for t in times_s]))
+    assert sudden_steps(given) == [24]
+    frames = [*range(25), *range(29, FRAMES)]
+    pushed = replace(
+        box,
+        files=tuple(
+            replace(box.files[n], timestamp_s=t) for n, t in zip(frames, TIMES_S, strict=False)
+        ),
+        ground_truth=given,
+    )
+    dataset = RecordedDataset(pushed)
+    assert not is_jump(aligned_pair(dataset, 24), dataset.timestamps_s, given)
+
+
+def test_without_depth_or_with_few_frames_nothing_is_said(box):
+    colour = tuple(replace(files, depth=None) for files in box.files)
+    assert found(box, files=colour) == []
+    assert found(box, files=box.files[:2], camera=replace(CAMERA, fx=110.0, fy=110.0)) == []
+
+
+def test_frames_that_cannot_be_read_are_left_out(box, tmp_path):
+    damaged = tmp_path / "damaged.png"
+    damaged.write_bytes(b"")
+    files = (*box.files[:5], replace(box.files[5], rgb=damaged), *box.files[6:])
+    pairs = aligned_pairs(RecordedDataset(replace(box, files=files)))
+    assert pairs and not any(5 in (pair.first, pair.second) for pair in pairs)
+
+
+def test_late_poses_are_used_with_the_delay(box, tmp_path):
+    folder = recorded(tmp_path / "late")
+    delay_s = 2 / FPS
+    write_tum(
+        folder / "trajectory.txt",
+        Trajectory(TIMES_S, np.array([pose(t - delay_s) for t in TIMES_S])),
+    )
+
+    def opened(delay):
+        values = {"dataset": {"kind": "folder", "path": str(folder), "pose_delay": delay}}
+        return open_recording(validated(RunSettings, values), folder)
+
+    dataset = opened(delay_s)
+    assert len(dataset.ground_truth) == FRAMES - 2
+    for time_s, T in zip(*vars(dataset.ground_truth).values(), strict=True):
+        assert np.allclose(T, pose(time_s), atol=1e-4)
+    with pytest.raises(SettingsError, match=r"--dataset.pose-delay 9 leaves no poses of late"):
+        opened(9.0)

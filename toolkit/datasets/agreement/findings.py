@@ -1,0 +1,64 @@
+"""Lines about what is stated of a recording and contradicts its images."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolkit.datasets.agreement.given_poses import is_jump, judge_given, sudden_steps
+from toolkit.datasets.agreement.intrinsics import estimate_intrinsics
+from toolkit.datasets.agreement.pairs import FramePair, aligned_pair, aligned_pairs
+from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.pairing import listed
+
+_SAME_TIME_S = 1e-3
+
+
+def contradictions(dataset: RecordedDataset) -> list[str]:
+    """A line for each statement about a recording with depth that its images contradict.
+
+    With wrong intrinsics, the images do not tell more. Poses whose convention is wrong must not be
+    among the statements (`pose_convention`).
+    """
+    if dataset.files(0).depth is None:
+        return []
+    pairs = aligned_pairs(dataset)
+    intrinsics = estimate_intrinsics(pairs)
+    wrong = None if intrinsics is None else intrinsics.finding(dataset.camera)
+    return [wrong] if wrong else _pose_contradictions(dataset, pairs)
+
+
+def _pose_contradictions(dataset: RecordedDataset, pairs: list[FramePair]) -> list[str]:
+    given, times_s = dataset.ground_truth, dataset.timestamps_s
+    if given is None or len(given) < 2:
+        return []
+    found, lines = judge_given(pairs, times_s, given), []
+    if found.delay_s:
+        late = "late" if found.delay_s > 0 else "early"
+        lines.append(
+            f"the poses are {abs(found.delay_s):.3f} s {late} against the images; correct their "
+            f"times, or use --dataset.pose-delay {found.delay_s:.3f}"
+        )
+    if found.depth_factor != 1.0:
+        scale = dataset.recording.depth_scale
+        lines.append(
+            f"depth and poses are in different units: they agree if depth is multiplied by "
+            f"{found.depth_factor:.3f} (depth_scale {scale / found.depth_factor:.5g} instead of "
+            f"{scale:.5g}); correct one of them"
+        )
+    if lines:
+        return lines
+    jumps = []
+    for index in sudden_steps(given):
+        number = int(np.argmin(np.abs(times_s - given.timestamps_s[index])))
+        step_s = given.timestamps_s[index : index + 2] - times_s[number : number + 2]
+        if len(step_s) < 2 or np.abs(step_s).max() > _SAME_TIME_S:
+            continue  # no frames belong to both poses
+        pair = aligned_pair(dataset, number)
+        if pair is not None and is_jump(pair, times_s, given):
+            jumps.append(dataset.files(number + 1).name)
+    if not jumps:
+        return []
+    return [
+        f"{len(jumps)} pose(s) jump although the images move on evenly: {listed(jumps)}; correct "
+        f"or remove them"
+    ]

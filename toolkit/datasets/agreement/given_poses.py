@@ -1,0 +1,216 @@
+"""Unit of depth, delay and jumps of given poses, from the motion that images show.
+
+Pairs of frames are aligned by depth and colour. If poses are late, the motion at other times agrees
+better; if the unit of depth is wrong, all distances differ by one factor; where a pose jumps, the
+images do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.datasets.agreement.pairs import FramePair
+from toolkit.geometry import se3
+from toolkit.geometry.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+# Delays that are tried, in intervals of the frames, and their upper limit in seconds.
+_DELAYS, _MAX_DELAY_S = np.arange(-12.0, 12.5, 0.5), 0.5
+# Part of the pairs that count: others may show moving objects, or are aligned wrongly.
+_TRUSTED = 0.75
+# A delay is reported if it reduces the disagreement to this part, and is the same (in intervals)
+# without any one of the frames that pairs begin at.
+_EXPLAINED, _SAME_DELAY = 0.6, 1.0
+# A factor of depth is reported if it differs from 1 by so much, and by so many standard errors.
+_LEAST_FACTOR, _CERTAIN = 0.04, 5.0
+_MIN_PAIRS, _MIN_ANCHORS = 6, 4
+# Poses jump if the step between two frames differs by so much from the mean of those beside it,
+# in metres, radians and usual differences, and from the motion of the images.
+_JUMP_M, _JUMP_RAD, _JUMP_USUAL, _MOST_JUMPS = 0.04, 0.035, 8.0, 5
+
+
+@dataclass(frozen=True)
+class PoseAgreement:
+    """What images say about given poses.
+
+    Attributes:
+        delay_s: by how much later than its frame a pose was recorded; 0 if that is uncertain.
+        depth_factor: factor of the depths with which they agree; 1 if that is uncertain.
+    """
+
+    delay_s: float = 0.0
+    depth_factor: float = 1.0
+
+
+def judge_given(pairs: Sequence[FramePair], times_s: Array, given: Trajectory) -> PoseAgreement:
+    """Compare given poses with the motion of images.
+
+    Args:
+        pairs: frames and their motion by images.
+        times_s: [N] times of all frames.
+        given: poses by these times.
+    """
+    own = [_Motion(pair, times_s) for pair in pairs]
+    if len(own) < _MIN_PAIRS or len({motion.anchor for motion in own}) < _MIN_ANCHORS:
+        return PoseAgreement()
+    interval_s = float(np.median(np.diff(times_s)))
+    delays_s = _DELAYS * interval_s
+    delays_s = delays_s[np.abs(delays_s) <= _MAX_DELAY_S]
+    errors = np.array([_errors(own, given, float(delay_s)) for delay_s in delays_s])
+    delay_s = _certain_delay(errors, delays_s, np.array([m.anchor for m in own]), interval_s)
+    return PoseAgreement(delay_s, _certain_factor(own, given, delay_s))
+
+
+def sudden_steps(given: Trajectory) -> list[int]:
+    """Indices of poses whose step to the next one differs most from those before and after."""
+    if len(given) < _JUMP_USUAL:
+        return []
+    expected, steps = _steps(given)
+    sizes = np.array([_sizes(step - usual) for step, usual in zip(steps, expected, strict=True)])
+    limits = np.maximum([_JUMP_M, _JUMP_RAD], _JUMP_USUAL * np.median(sizes, axis=0))
+    excess = (sizes / limits).max(axis=1)
+    # The steps beside a jump differ from it, too, by half as much.
+    highest = [n for n in range(len(excess)) if excess[n] >= excess[max(n - 1, 0) : n + 2].max()]
+    found = sorted((n for n in highest if excess[n] > 1.0), key=lambda n: -excess[n])
+    return sorted(found[:_MOST_JUMPS])
+
+
+def is_jump(pair: FramePair, times_s: Array, given: Trajectory) -> bool:
+    """Whether a sudden step of given poses is none of the camera.
+
+    The images of both frames show another motion, which is like that before and after.
+
+    Args:
+        pair: a frame of `sudden_steps` and the next one.
+    """
+    motion = _Motion(pair, times_s)
+    index = int(np.searchsorted(given.timestamps_s, times_s[pair.first] - 1e-6))
+    expected, steps = _steps(given)
+    difference, seen = motion.difference(given), motion.step()
+    if difference is None:
+        return False
+    jumps = (_sizes(difference) > np.array([_JUMP_M, _JUMP_RAD])).any()
+    usual, stated = (_sizes(step - expected[index]) for step in (seen, steps[index]))
+    return bool(jumps and (usual <= np.maximum(0.5 * stated, [_JUMP_M, _JUMP_RAD])).all())
+
+
+def _steps(given: Trajectory) -> tuple[Array, Array]:
+    """Expected and stated steps [N - 1, 6] of poses; the former go on as those before and after."""
+    poses, elapsed_s = given.T_world_camera, np.diff(given.timestamps_s)[:, None]
+    steps = np.array([se3.log(se3.inverse(a) @ b) for a, b in pairwise(poses)])
+    rates = steps / elapsed_s
+    beside = 0.5 * (np.roll(rates, 1, axis=0) + np.roll(rates, -1, axis=0))
+    beside[0], beside[-1] = rates[1], rates[-2]
+    return beside * elapsed_s, steps
+
+
+def _sizes(step: Array) -> Array:
+    """Metres and radians [2] of a step [6]."""
+    return np.array([np.linalg.norm(step[:3]), np.linalg.norm(step[3:])])
+
+
+class _Motion:
+    """The motion between two frames by images, and by given poses."""
+
+    def __init__(self, pair: FramePair, times_s: Array) -> None:
+        self.anchor = pair.first
+        self._T = pair.pose.T_second_first
+        self._times_s = float(times_s[pair.first]), float(times_s[pair.second])
+        self._depth_m = pair.depth_m
+
+    def given(self, given: Trajectory, delay_s: float) -> Array | None:
+        """T_second_first [4, 4] by the poses a time later; None without poses there."""
+        first, second = (given.interpolated(t + delay_s) for t in self._times_s)
+        return None if first is None or second is None else se3.inverse(second) @ first
+
+    def step(self) -> Array:
+        """The motion [6] of the camera by images."""
+        return se3.log(se3.inverse(self._T))
+
+    def translations(self, given: Trajectory, delay_s: float) -> tuple[Array, Array] | None:
+        """Translations [3] by images and by poses."""
+        T = self.given(given, delay_s)
+        return None if T is None else (self._T[:3, 3], T[:3, 3])
+
+    def difference(
+        self, given: Trajectory, delay_s: float = 0.0, factor: float = 1.0
+    ) -> Array | None:
+        """Difference [6] of both motions in metres and radians; None without poses."""
+        T = self.given(given, delay_s)
+        if T is None:
+            return None
+        own = self._T.copy()
+        own[:3, 3] *= factor
+        return se3.log(se3.inverse(own) @ T)
+
+    def error(self, given: Trajectory, delay_s: float = 0.0, factor: float = 1.0) -> float:
+        """Size of the difference in radians, at the depth of the scene; NaN without poses."""
+        found = self.difference(given, delay_s, factor)
+        if found is None:
+            return float("nan")
+        return float(np.hypot(np.linalg.norm(found[:3]) / self._depth_m, np.linalg.norm(found[3:])))
+
+
+def _errors(own: Sequence[_Motion], given: Trajectory, delay_s: float) -> list[float]:
+    """Errors [P] of the motions at a delay, whatever the unit of depth is."""
+    found = [t for motion in own if (t := motion.translations(given, delay_s)) is not None]
+    factor = _factor(*(np.array([t[k] for t in found]) for k in (0, 1))) if found else 1.0
+    return [motion.error(given, delay_s, factor) for motion in own]
+
+
+def _certain_delay(errors: Array, delays_s: Array, anchors: NDArray, interval_s: float) -> float:
+    """The delay that explains errors [D, P]; 0 if none does."""
+    known = ~np.isnan(errors).any(axis=0)
+    errors, anchors = errors[:, known], anchors[known]
+    if len(anchors) < _MIN_PAIRS or len(set(anchors)) < _MIN_ANCHORS:
+        return 0.0
+    costs = _trimmed_means(errors)
+    best = int(np.argmin(costs))
+    if costs[best] > _EXPLAINED * costs[np.argmin(np.abs(delays_s))]:
+        return 0.0
+    delay_s = float(delays_s[best])
+    others = [
+        delays_s[np.argmin(_trimmed_means(errors[:, anchors != anchor]))] for anchor in set(anchors)
+    ]
+    certain = np.abs(np.array(others) - delay_s).max() <= _SAME_DELAY * interval_s
+    return delay_s if certain else 0.0
+
+
+def _certain_factor(own: Sequence[_Motion], given: Trajectory, delay_s: float) -> float:
+    """The factor of depth that explains the translations; 1 if none does."""
+    found = [(m, m.translations(given, delay_s)) for m in own]
+    known = [(m, t) for m, t in found if t is not None]
+    if len(known) < _MIN_PAIRS:
+        return 1.0
+    seen, stated = (np.array([t[k] for _, t in known]) for k in (0, 1))
+    anchors = np.array([m.anchor for m, _ in known])
+    factor = _factor(seen, stated)
+    if factor <= 0.0:  # the camera hardly moves
+        return 1.0
+    others = np.array([_factor(seen[anchors != a], stated[anchors != a]) for a in set(anchors)])
+    sigma = np.sqrt((len(others) - 1) / len(others) * ((others - others.mean()) ** 2).sum())
+    uncertain = abs(np.log(factor)) < max(_LEAST_FACTOR, _CERTAIN * sigma)
+    return 1.0 if uncertain else factor
+
+
+def _factor(seen: Array, stated: Array) -> float:
+    """Factor of translations [N, 3] that agrees with others, without the pairs that disagree."""
+    kept = np.ones(len(seen), np.bool_)
+    factor = 1.0
+    for _ in range(3):
+        factor = float((seen[kept] * stated[kept]).sum() / max((seen[kept] ** 2).sum(), 1e-12))
+        errors = np.linalg.norm(factor * seen - stated, axis=1)
+        kept = errors <= np.quantile(errors, _TRUSTED)
+    return factor
+
+
+def _trimmed_means(errors: Array) -> Array:
+    """Means [D] of the smallest of errors [D, P]."""
+    kept = max(int(_TRUSTED * errors.shape[1]), 1)
+    return np.sort(errors, axis=1)[:, :kept].mean(axis=1)
