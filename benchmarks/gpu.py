@@ -152,7 +152,7 @@ def main() -> int:
     counts = tuple(round(1e6 * m) for m in given.millions)
     plan = Plan(device, SIZE, counts, channels, given.repeats, given.frames)
     if given.smoke:
-        plan = Plan(device, (40, 24), (300,), (4, 18), 1, 2)
+        plan = Plan(device, (24, 16), (300,), (4, 18), 1, 2)
     name = torch.cuda.get_device_name() if plan.timed else "Triton's interpreter: no timing"
     triton = importlib.import_module("triton")
     versions = f"torch {torch.__version__}, triton {triton.__version__}"

@@ -18,8 +18,8 @@ def test_it_runs_through_the_interpreter_and_times_nothing(run_python):
     assert result.returncode == 0, result.stdout + result.stderr
     assert result.stdout.count("| ok |") == 5
     assert "| 300 | 4 | interpreter | interpreter | interpreter | interpreter |" in result.stdout
-    assert "| 300 | 40x24 | 18 | interpreter | interpreter" in result.stdout
-    assert "| cpu (cuda) | 40x24 | 26 | interpreter | interpreter |" in result.stdout
+    assert "| 300 | 24x16 | 18 | interpreter | interpreter" in result.stdout
+    assert "| cpu (cuda) | 24x16 | 26 | interpreter | interpreter |" in result.stdout
     assert "| one-hot | 26 | interpreter |" in result.stdout
 
 

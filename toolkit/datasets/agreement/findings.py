@@ -11,6 +11,8 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.pairing import listed
 
 _SAME_TIME_S = 1e-3
+# Fewer frames have too few pairs that begin at different ones.
+_MIN_FRAMES = 24
 
 
 def contradictions(dataset: RecordedDataset) -> list[str]:
@@ -19,7 +21,7 @@ def contradictions(dataset: RecordedDataset) -> list[str]:
     With wrong intrinsics, the images do not tell more. Poses whose convention is wrong must not be
     among the statements (`pose_convention`).
     """
-    if dataset.files(0).depth is None:
+    if dataset.files(0).depth is None or len(dataset) < _MIN_FRAMES:
         return []
     pairs = aligned_pairs(dataset)
     intrinsics = estimate_intrinsics(pairs)
