@@ -7,7 +7,8 @@ images do not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,6 +20,8 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
+# The pose [4, 4] at a time, None outside of the poses.
+PoseAt = Callable[[float], Array | None]
 
 # Delays that are tried, in intervals of the frames, and their upper limit in seconds.
 _DELAYS, _MAX_DELAY_S = np.arange(-12.0, 12.5, 0.5), 0.5
@@ -62,9 +65,10 @@ def judge_given(pairs: Sequence[FramePair], times_s: Array, given: Trajectory) -
     interval_s = float(np.median(np.diff(times_s)))
     delays_s = _DELAYS * interval_s
     delays_s = delays_s[np.abs(delays_s) <= _MAX_DELAY_S]
-    errors = np.array([_errors(own, given, float(delay_s)) for delay_s in delays_s])
+    pose_at = functools.cache(given.interpolated)
+    errors = np.array([_errors(own, pose_at, float(delay_s)) for delay_s in delays_s])
     delay_s = _certain_delay(errors, delays_s, np.array([m.anchor for m in own]), interval_s)
-    return PoseAgreement(delay_s, _certain_factor(own, given, delay_s))
+    return PoseAgreement(delay_s, _certain_factor(own, pose_at, delay_s))
 
 
 def sudden_steps(given: Trajectory) -> list[int]:
@@ -92,7 +96,7 @@ def is_jump(pair: FramePair, times_s: Array, given: Trajectory) -> bool:
     motion = _Motion(pair, times_s)
     index = int(np.searchsorted(given.timestamps_s, times_s[pair.first] - 1e-6))
     expected, steps = _steps(given)
-    difference, seen = motion.difference(given), motion.step()
+    difference, seen = motion.difference(given.interpolated), motion.step()
     if difference is None:
         return False
     jumps = (_sizes(difference) > np.array([_JUMP_M, _JUMP_RAD])).any()
@@ -124,44 +128,44 @@ class _Motion:
         self._times_s = float(times_s[pair.first]), float(times_s[pair.second])
         self._depth_m = pair.depth_m
 
-    def given(self, given: Trajectory, delay_s: float) -> Array | None:
+    def given(self, pose_at: PoseAt, delay_s: float) -> Array | None:
         """T_second_first [4, 4] by the poses a time later; None without poses there."""
-        first, second = (given.interpolated(t + delay_s) for t in self._times_s)
+        first, second = (pose_at(t + delay_s) for t in self._times_s)
         return None if first is None or second is None else se3.inverse(second) @ first
 
     def step(self) -> Array:
         """The motion [6] of the camera by images."""
         return se3.log(se3.inverse(self._T))
 
-    def translations(self, given: Trajectory, delay_s: float) -> tuple[Array, Array] | None:
+    def translations(self, pose_at: PoseAt, delay_s: float) -> tuple[Array, Array] | None:
         """Translations [3] by images and by poses."""
-        T = self.given(given, delay_s)
+        T = self.given(pose_at, delay_s)
         return None if T is None else (self._T[:3, 3], T[:3, 3])
 
     def difference(
-        self, given: Trajectory, delay_s: float = 0.0, factor: float = 1.0
+        self, pose_at: PoseAt, delay_s: float = 0.0, factor: float = 1.0
     ) -> Array | None:
         """Difference [6] of both motions in metres and radians; None without poses."""
-        T = self.given(given, delay_s)
+        T = self.given(pose_at, delay_s)
         if T is None:
             return None
         own = self._T.copy()
         own[:3, 3] *= factor
         return se3.log(se3.inverse(own) @ T)
 
-    def error(self, given: Trajectory, delay_s: float = 0.0, factor: float = 1.0) -> float:
+    def error(self, pose_at: PoseAt, delay_s: float = 0.0, factor: float = 1.0) -> float:
         """Size of the difference in radians, at the depth of the scene; NaN without poses."""
-        found = self.difference(given, delay_s, factor)
+        found = self.difference(pose_at, delay_s, factor)
         if found is None:
             return float("nan")
         return float(np.hypot(np.linalg.norm(found[:3]) / self._depth_m, np.linalg.norm(found[3:])))
 
 
-def _errors(own: Sequence[_Motion], given: Trajectory, delay_s: float) -> list[float]:
+def _errors(own: Sequence[_Motion], pose_at: PoseAt, delay_s: float) -> list[float]:
     """Errors [P] of the motions at a delay, whatever the unit of depth is."""
-    found = [t for motion in own if (t := motion.translations(given, delay_s)) is not None]
+    found = [t for motion in own if (t := motion.translations(pose_at, delay_s)) is not None]
     factor = _factor(*(np.array([t[k] for t in found]) for k in (0, 1))) if found else 1.0
-    return [motion.error(given, delay_s, factor) for motion in own]
+    return [motion.error(pose_at, delay_s, factor) for motion in own]
 
 
 def _certain_delay(errors: Array, delays_s: Array, anchors: NDArray, interval_s: float) -> float:
@@ -182,9 +186,9 @@ def _certain_delay(errors: Array, delays_s: Array, anchors: NDArray, interval_s:
     return delay_s if certain else 0.0
 
 
-def _certain_factor(own: Sequence[_Motion], given: Trajectory, delay_s: float) -> float:
+def _certain_factor(own: Sequence[_Motion], pose_at: PoseAt, delay_s: float) -> float:
     """The factor of depth that explains the translations; 1 if none does."""
-    found = [(m, m.translations(given, delay_s)) for m in own]
+    found = [(m, m.translations(pose_at, delay_s)) for m in own]
     known = [(m, t) for m, t in found if t is not None]
     if len(known) < _MIN_PAIRS:
         return 1.0
