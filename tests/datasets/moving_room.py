@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.io import images
+from toolkit.io.trajectories import write_tum
 
 Array = NDArray[np.float64]
 
@@ -77,3 +83,21 @@ class MovingRoom:
         if self._delay_s:
             depth_m = exposed(times_s + self._delay_s)[1]
         return Frame(index, float(self.timestamps_s[index]), rgb, depth_m, CAMERA)
+
+
+def write_recording(folder: Path, times_s: Array, k1: float = 0.0) -> Path:
+    """Write frames of the room and their true poses into a folder, at regular times."""
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    for i, time_s in enumerate(times_s):
+        rgb, depth_m = exposed(np.full(CAMERA.height, time_s), k1)
+        images.write_rgb(folder / f"rgb/{i:04d}.png", rgb)
+        images.write_depth_png(folder / f"depth/{i:04d}.png", depth_m, 5000.0)
+    names = ("fx", "fy", "cx", "cy", "width", "height")
+    intrinsics = {name: getattr(CAMERA, name) for name in names}
+    fps = round(1.0 / float(times_s[1] - times_s[0]), 6)
+    (folder / "intrinsics.yaml").write_text(
+        yaml.safe_dump(intrinsics | {"depth_scale": 5000.0, "fps": fps})
+    )
+    write_tum(folder / "trajectory.txt", Trajectory(times_s, np.array([*map(pose, times_s)])))
+    return folder

@@ -2,22 +2,19 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from moving_room import CAMERA, exposed, pose
+from moving_room import CAMERA, pose, write_recording
 
 from toolkit.datasets import checks
 from toolkit.datasets.agreement.findings import contradictions
-from toolkit.datasets.agreement.given_poses import is_jump, sudden_steps
+from toolkit.datasets.agreement.given_poses import sudden_steps
 from toolkit.datasets.agreement.pairs import aligned_pair, aligned_pairs
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
 from toolkit.errors import SettingsError
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.io import images
 from toolkit.io.trajectories import write_tum
 from toolkit.options import validated
 from toolkit.runs import modes
@@ -29,26 +26,11 @@ FRAMES, FPS = 40, 20.0
 TIMES_S = np.arange(FRAMES) / FPS
 
 
-def recorded(folder: Path, k1: float = 0.0) -> Path:
-    """A folder of a shaking camera in a box room, with its true poses."""
-    for name in ("rgb", "depth"):
-        (folder / name).mkdir(parents=True)
-    for i, time_s in enumerate(TIMES_S):
-        rgb, depth_m = exposed(np.full(CAMERA.height, time_s), k1)
-        images.write_rgb(folder / f"rgb/{i:04d}.png", rgb)
-        images.write_depth_png(folder / f"depth/{i:04d}.png", depth_m, 5000.0)
-    names = ("fx", "fy", "cx", "cy", "width", "height")
-    intrinsics = {name: getattr(CAMERA, name) for name in names}
-    (folder / "intrinsics.yaml").write_text(
-        yaml.safe_dump(intrinsics | {"depth_scale": 5000.0, "fps": FPS})
-    )
-    write_tum(folder / "trajectory.txt", Trajectory(TIMES_S, np.array([*map(pose, TIMES_S)])))
-    return folder
-
-
 @pytest.fixture(scope="module")
 def box(tmp_path_factory):
-    return describe("folder", recorded(tmp_path_factory.mktemp("agreement") / "box"))
+    return describe(
+        "folder", write_recording(tmp_path_factory.mktemp("agreement") / "box", TIMES_S)
+    )
 
 
 def found(recording, **changes):
@@ -76,7 +58,7 @@ def test_a_wrong_principal_point_is_named_with_the_right_one(box):
 
 
 def test_distortion_that_is_not_stated_is_named(tmp_path):
-    (line,) = found(describe("folder", recorded(tmp_path / "bent", k1=-0.2)))
+    (line,) = found(describe("folder", write_recording(tmp_path / "bent", TIMES_S, k1=-0.2)))
     assert float(re.search(r"k1 = (\S+) ", line)[1]) == pytest.approx(-0.2, abs=0.03)
 
 
@@ -124,7 +106,8 @@ def test_a_camera_that_is_pushed_does_not_jump(box):
     # The pose is where the images are, however sudden the motion is.
     times_s = TIMES_S + np.where(np.arange(FRAMES) >= 25, 4.0, 0.0) / FPS
     given = Trajectory(TIMES_S, np.array([pose(t) for t in times_s]))
-    assert sudden_steps(given) == [24]
+    (step,) = sudden_steps(given)
+    assert step.index == 24
     frames = [*range(25), *range(29, FRAMES)]
     pushed = replace(
         box,
@@ -133,8 +116,7 @@ def test_a_camera_that_is_pushed_does_not_jump(box):
         ),
         ground_truth=given,
     )
-    dataset = RecordedDataset(pushed)
-    assert not is_jump(aligned_pair(dataset, 24), dataset.timestamps_s, given)
+    assert not step.is_jump(aligned_pair(RecordedDataset(pushed), 24))
 
 
 def test_without_depth_or_with_few_frames_nothing_is_said(box):
@@ -152,7 +134,7 @@ def test_frames_that_cannot_be_read_are_left_out(box, tmp_path):
 
 
 def test_late_poses_are_used_with_the_delay(box, tmp_path):
-    folder = recorded(tmp_path / "late")
+    folder = write_recording(tmp_path / "late", TIMES_S)
     delay_s = 2 / FPS
     write_tum(
         folder / "trajectory.txt",

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from moving_room import CAMERA, exposed, pose
+from moving_room import pose, write_recording
 
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.checks import check_recording
@@ -17,7 +16,6 @@ from toolkit.datasets.registry import describe
 from toolkit.errors import DatasetError
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
-from toolkit.io import images
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.options import validated
 from toolkit.runs.execution import run
@@ -48,21 +46,7 @@ def scalar_first(T):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Path:
     """A folder of a shaking camera in a box room, with its true poses."""
-    folder = tmp_path_factory.mktemp("poses") / "box"
-    for name in ("rgb", "depth"):
-        (folder / name).mkdir(parents=True)
-    times_s = np.arange(FRAMES) / FPS
-    for i, time_s in enumerate(times_s):
-        rgb, depth_m = exposed(np.full(CAMERA.height, time_s))
-        images.write_rgb(folder / f"rgb/{i:04d}.png", rgb)
-        images.write_depth_png(folder / f"depth/{i:04d}.png", depth_m, 5000.0)
-    names = ("fx", "fy", "cx", "cy", "width", "height")
-    intrinsics = {name: getattr(CAMERA, name) for name in names}
-    (folder / "intrinsics.yaml").write_text(
-        yaml.safe_dump(intrinsics | {"depth_scale": 5000.0, "fps": FPS})
-    )
-    write_tum(folder / "trajectory.txt", Trajectory(times_s, np.array([*map(pose, times_s)])))
-    return folder
+    return write_recording(tmp_path_factory.mktemp("poses") / "box", np.arange(FRAMES) / FPS)
 
 
 def judged(folder, changed):

@@ -208,11 +208,10 @@ def _scalar_moved(T: Array) -> Array:
 
 def _pairs(dataset: RecordedDataset) -> Iterator[_Pair | None]:
     # An origin must not be subtracted from poses that may be inverted.
-    camera, truth = dataset.recording.camera, dataset.recording.ground_truth
+    recording, truth = dataset.recording, dataset.recording.ground_truth
     if truth is None or dataset.files(0).depth is None:
         return
-    size = (_WIDTH, round(_WIDTH * camera.height / camera.width))
-    small = RecordedDataset(dataset.recording, size if camera.width > _WIDTH else None)
+    small = RecordedDataset(recording, recording.camera.size_up_to(_WIDTH))
     last = len(dataset) - 1
     for anchor in np.unique(np.linspace(0, max(last - max(_GAPS), 0), _ANCHORS).astype(int)):
         first = _posed(small, truth, int(anchor))

@@ -186,7 +186,7 @@ def _poses_at(
         first, second = T_world_camera[[right - 1, right]]
         if np.abs(after_s).max() <= MAX_DIFFERENCE_S and after_s[0] > after_s[1]:
             fraction = np.clip(after_s[0] / (after_s[0] - after_s[1]), 0.0, 1.0)
-            found.append(first @ se3.exp(fraction * se3.log(se3.inverse(first) @ second)))
+            found.append(se3.interpolated(first, second, fraction))
         else:
             close = np.abs(after_s).min() <= MAX_DIFFERENCE_S
             found.append(T_world_camera[nearest] if close else None)

@@ -61,6 +61,10 @@ class Camera:
         """Intrinsic matrix K [3, 3]."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def size_up_to(self, width: int) -> tuple[int, int] | None:
+        """(width, height) of the image reduced to a width; None if it is not wider."""
+        return (width, round(width * self.height / self.width)) if self.width > width else None
+
     def scaled(self, scale_x: float, scale_y: float, width: int, height: int) -> Camera:
         """Return the camera of the image resized by these factors to width x height.
 

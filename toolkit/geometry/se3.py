@@ -88,6 +88,11 @@ def inverse(T: Array) -> Array:
     return out
 
 
+def interpolated(first: Array, second: Array, share: float) -> Array:
+    """The pose [4, 4] at a share of the screw motion from one pose to another one."""
+    return first @ exp(share * log(inverse(first) @ second))
+
+
 def adjoint(T: Array) -> Array:
     """Return the adjoint [6, 6]: exp(adjoint(T) @ x) = T @ exp(x) @ inverse(T)."""
     R, t = T[:3, :3], T[:3, 3]

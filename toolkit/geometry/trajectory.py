@@ -76,7 +76,7 @@ class Trajectory:
             values[after - 1 : after + 1] for values in (self.timestamps_s, self.T_world_camera)
         )
         share = (timestamp_s - start_s) / (end_s - start_s)
-        return se3.orthonormalise(first @ se3.exp(share * se3.log(se3.inverse(first) @ second)))
+        return se3.orthonormalise(se3.interpolated(first, second, share))
 
     def delayed(self, delay_s: float) -> Trajectory:
         """Return the trajectory of a camera whose poses were recorded late by a time.

@@ -167,8 +167,8 @@ class DenseTracker(MovingTracker):
         if not result.lost and bound is not None and not bound.contains(result.T_map_camera):
             result = contradicted(result, "the camera cannot have moved so far")
         # After a gap, nothing but this frame tells where the camera went, and doors are alike.
-        moved_on = self.motion.has_moved_on(frame.timestamp_s, result.T_map_camera)
-        if moved_on and features is None and not result.lost:
+        gone = features is None and not result.lost
+        if gone and self.motion.has_moved_on(frame.timestamp_s, result.T_map_camera):
             result = contradicted(result, "after a gap, the camera may be at a similar place")
         proofs = self._proofs_after(result, reach)
         if result.health is Health.GOOD and proofs > 0:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import se3
-from toolkit.tracking.reach import Reach, mean_pace
+from toolkit.tracking.reach import Reach, is_same_place, mean_pace, running_mean
 
 # Changes of velocity and velocities that a camera in a hand or on a robot does not exceed.
 _ACCELERATION, _ANGULAR_ACCELERATION = 10.0, 50.0
@@ -14,10 +14,8 @@ _SPEED, _ANGULAR_SPEED = 2.0, 4.0
 # Error of a pose that was extrapolated from two poses.
 _ERROR_M, _ERROR_RAD = 0.01, 0.02
 # Time without a pose, in seconds and in intervals of frames, after which the camera may be
-# elsewhere; and the part of a new interval in their mean.
-_GAP_S, _GAP_INTERVALS, _NEW = 0.4, 5.0, 0.2
-# Distance from the predicted pose of a camera that has not moved on during a gap.
-_STAYED_M, _STAYED_RAD = 0.3, 0.3
+# elsewhere.
+_GAP_S, _GAP_INTERVALS = 0.4, 5.0
 
 
 class ConstantVelocity:
@@ -71,7 +69,7 @@ class ConstantVelocity:
         gap_s = timestamp_s - self._times[-1]
         if gap_s <= max(_GAP_S, _GAP_INTERVALS * self._interval_s):
             return False
-        return not Reach(self.predict(timestamp_s), _STAYED_M, _STAYED_RAD).contains(T_map_camera)
+        return not is_same_place(self.predict(timestamp_s), T_map_camera)
 
     def last(self) -> NDArray[np.float64] | None:
         """The newest pose [4, 4], or None."""
@@ -94,8 +92,7 @@ class ConstantVelocity:
         if self._certain and elapsed_s > 0.0:
             step = se3.log(se3.inverse(self._poses[0]) @ T_map_camera)
             self._pace = mean_pace(self._pace, step / elapsed_s)
-            new = elapsed_s - self._interval_s
-            self._interval_s += new if self._interval_s == 0.0 else _NEW * new
+            self._interval_s = running_mean(self._interval_s, elapsed_s)
         if reliable:
             self._reliable_s = timestamp_s
 

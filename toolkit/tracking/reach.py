@@ -30,7 +30,7 @@ _DOUBTFUL_M_S, _DOUBTFUL_RAD_S = 0.8, 0.6
 _ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
 # Poses that are farther apart than this are those of different places.
 _APART_M, _APART_RAD = 0.3, 0.3
-# Part of a new velocity in the mean of the last ones.
+# Part of a new value in the mean of the last ones.
 _NEW = 0.2
 
 
@@ -70,6 +70,11 @@ class Reach:
         return near and float(se3.rotation_angle_rad(motion[:3, :3])) <= self.radians
 
 
+def is_same_place(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
+    """Whether two poses [4, 4] are so near each other that a camera sees the same from both."""
+    return Reach(first, _APART_M, _APART_RAD).contains(second)
+
+
 def is_only_place(
     T_map_camera: NDArray[np.float64],
     others: Iterable[NDArray[np.float64]],
@@ -84,12 +89,18 @@ def is_only_place(
         T_map_camera: [4, 4] at the place. others: [4, 4] each, at the others.
         possible: whether the camera can be at a pose.
     """
-    place = Reach(T_map_camera, _APART_M, _APART_RAD)
     for T_other in others:
+        if is_same_place(T_map_camera, T_other):
+            continue
         T_opposite = se3.orthonormalise(T_map_camera @ se3.inverse(T_other) @ T_map_camera)
-        if not place.contains(T_other) and (possible(T_other) or possible(T_opposite)):
+        if possible(T_other) or possible(T_opposite):
             return False
     return True
+
+
+def running_mean(mean: float, new: float) -> float:
+    """Mean of the last values; 0 before the first one."""
+    return new if mean == 0.0 else mean + _NEW * (new - mean)
 
 
 def mean_pace(pace: float, velocity: NDArray[np.float64]) -> float:
@@ -103,8 +114,7 @@ def mean_pace(pace: float, velocity: NDArray[np.float64]) -> float:
         velocity: [6] of the camera (m/s, rad/s).
     """
     metres, radians = (float(np.linalg.norm(part)) for part in np.split(velocity, 2))
-    new = max(metres / _LOST_M_S, radians / _LOST_RAD_S)
-    return new if pace == 0.0 else pace + _NEW * (new - pace)
+    return running_mean(pace, max(metres / _LOST_M_S, radians / _LOST_RAD_S))
 
 
 def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None) -> TrackingResult:

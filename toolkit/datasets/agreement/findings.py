@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolkit.datasets.agreement.given_poses import is_jump, judge_given, sudden_steps
+from toolkit.datasets.agreement.given_poses import judge_given, sudden_steps
 from toolkit.datasets.agreement.intrinsics import estimate_intrinsics
 from toolkit.datasets.agreement.pairs import FramePair, aligned_pair, aligned_pairs
 from toolkit.datasets.base import RecordedDataset
@@ -50,13 +50,13 @@ def _pose_contradictions(dataset: RecordedDataset, pairs: list[FramePair]) -> li
     if lines:
         return lines
     jumps = []
-    for index in sudden_steps(given):
-        number = int(np.argmin(np.abs(times_s - given.timestamps_s[index])))
-        step_s = given.timestamps_s[index : index + 2] - times_s[number : number + 2]
-        if len(step_s) < 2 or np.abs(step_s).max() > _SAME_TIME_S:
+    for step in sudden_steps(given):
+        both_s = given.timestamps_s[step.index : step.index + 2]
+        number = min(int(np.argmin(np.abs(times_s - both_s[0]))), len(times_s) - 2)
+        if np.abs(times_s[number : number + 2] - both_s).max() > _SAME_TIME_S:
             continue  # no frames belong to both poses
         pair = aligned_pair(dataset, number)
-        if pair is not None and is_jump(pair, times_s, given):
+        if pair is not None and step.is_jump(pair):
             jumps.append(dataset.files(number + 1).name)
     if not jumps:
         return []

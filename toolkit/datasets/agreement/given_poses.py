@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.agreement.pairs import FramePair
+from toolkit.datasets.jackknife import jackknife_sigmas
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 
@@ -71,47 +72,54 @@ def judge_given(pairs: Sequence[FramePair], times_s: Array, given: Trajectory) -
     return PoseAgreement(delay_s, _certain_factor(own, pose_at, delay_s))
 
 
-def sudden_steps(given: Trajectory) -> list[int]:
-    """Indices of poses whose step to the next one differs most from those before and after."""
+@dataclass(frozen=True, eq=False)
+class SuddenStep:
+    """A step between two given poses that differs much from those before and after.
+
+    Attributes:
+        index: of the first of both poses.
+        stated: [6] the step. expected: [6] one that goes on as those beside it.
+    """
+
+    index: int
+    stated: Array
+    expected: Array
+
+    def is_jump(self, pair: FramePair) -> bool:
+        """Whether the camera did not make the step.
+
+        The images show another motion, which is like that before and after.
+
+        Args:
+            pair: the frames of both poses.
+        """
+        T_first_second = se3.inverse(pair.pose.T_second_first)
+        difference = se3.log(se3.inverse(T_first_second) @ se3.exp(self.stated))
+        limits = np.array([_JUMP_M, _JUMP_RAD])
+        seen, stated = (
+            _sizes(step - self.expected) for step in (se3.log(T_first_second), self.stated)
+        )
+        jumps = (_sizes(difference) > limits).any()
+        return bool(jumps and (seen <= np.maximum(0.5 * stated, limits)).all())
+
+
+def sudden_steps(given: Trajectory) -> list[SuddenStep]:
+    """The steps between given poses that differ most from those before and after, in order."""
     if len(given) < _JUMP_USUAL:
         return []
-    expected, steps = _steps(given)
-    sizes = np.array([_sizes(step - usual) for step, usual in zip(steps, expected, strict=True)])
-    limits = np.maximum([_JUMP_M, _JUMP_RAD], _JUMP_USUAL * np.median(sizes, axis=0))
-    excess = (sizes / limits).max(axis=1)
-    # The steps beside a jump differ from it, too, by half as much.
-    highest = [n for n in range(len(excess)) if excess[n] >= excess[max(n - 1, 0) : n + 2].max()]
-    found = sorted((n for n in highest if excess[n] > 1.0), key=lambda n: -excess[n])
-    return sorted(found[:_MOST_JUMPS])
-
-
-def is_jump(pair: FramePair, times_s: Array, given: Trajectory) -> bool:
-    """Whether a sudden step of given poses is none of the camera.
-
-    The images of both frames show another motion, which is like that before and after.
-
-    Args:
-        pair: a frame of `sudden_steps` and the next one.
-    """
-    motion = _Motion(pair, times_s)
-    index = int(np.searchsorted(given.timestamps_s, times_s[pair.first] - 1e-6))
-    expected, steps = _steps(given)
-    difference, seen = motion.difference(given.interpolated), motion.step()
-    if difference is None:
-        return False
-    jumps = (_sizes(difference) > np.array([_JUMP_M, _JUMP_RAD])).any()
-    usual, stated = (_sizes(step - expected[index]) for step in (seen, steps[index]))
-    return bool(jumps and (usual <= np.maximum(0.5 * stated, [_JUMP_M, _JUMP_RAD])).all())
-
-
-def _steps(given: Trajectory) -> tuple[Array, Array]:
-    """Expected and stated steps [N - 1, 6] of poses; the former go on as those before and after."""
     poses, elapsed_s = given.T_world_camera, np.diff(given.timestamps_s)[:, None]
     steps = np.array([se3.log(se3.inverse(a) @ b) for a, b in pairwise(poses)])
     rates = steps / elapsed_s
     beside = 0.5 * (np.roll(rates, 1, axis=0) + np.roll(rates, -1, axis=0))
     beside[0], beside[-1] = rates[1], rates[-2]
-    return beside * elapsed_s, steps
+    expected = beside * elapsed_s
+    sizes = np.array([_sizes(change) for change in steps - expected])
+    limits = np.maximum([_JUMP_M, _JUMP_RAD], _JUMP_USUAL * np.median(sizes, axis=0))
+    excess = (sizes / limits).max(axis=1)
+    # The steps beside a jump differ from it, too, by half as much.
+    highest = [n for n in range(len(excess)) if excess[n] >= excess[max(n - 1, 0) : n + 2].max()]
+    found = sorted((n for n in highest if excess[n] > 1.0), key=lambda n: -excess[n])
+    return [SuddenStep(n, steps[n], expected[n]) for n in sorted(found[:_MOST_JUMPS])]
 
 
 def _sizes(step: Array) -> Array:
@@ -133,32 +141,20 @@ class _Motion:
         first, second = (pose_at(t + delay_s) for t in self._times_s)
         return None if first is None or second is None else se3.inverse(second) @ first
 
-    def step(self) -> Array:
-        """The motion [6] of the camera by images."""
-        return se3.log(se3.inverse(self._T))
-
     def translations(self, pose_at: PoseAt, delay_s: float) -> tuple[Array, Array] | None:
         """Translations [3] by images and by poses."""
         T = self.given(pose_at, delay_s)
         return None if T is None else (self._T[:3, 3], T[:3, 3])
 
-    def difference(
-        self, pose_at: PoseAt, delay_s: float = 0.0, factor: float = 1.0
-    ) -> Array | None:
-        """Difference [6] of both motions in metres and radians; None without poses."""
+    def error(self, pose_at: PoseAt, delay_s: float, factor: float) -> float:
+        """Size of the difference in radians, at the depth of the scene; NaN without poses."""
         T = self.given(pose_at, delay_s)
         if T is None:
-            return None
+            return float("nan")
         own = self._T.copy()
         own[:3, 3] *= factor
-        return se3.log(se3.inverse(own) @ T)
-
-    def error(self, pose_at: PoseAt, delay_s: float = 0.0, factor: float = 1.0) -> float:
-        """Size of the difference in radians, at the depth of the scene; NaN without poses."""
-        found = self.difference(pose_at, delay_s, factor)
-        if found is None:
-            return float("nan")
-        return float(np.hypot(np.linalg.norm(found[:3]) / self._depth_m, np.linalg.norm(found[3:])))
+        metres, radians = _sizes(se3.log(se3.inverse(own) @ T))
+        return float(np.hypot(metres / self._depth_m, radians))
 
 
 def _errors(own: Sequence[_Motion], pose_at: PoseAt, delay_s: float) -> list[float]:
@@ -198,7 +194,7 @@ def _certain_factor(own: Sequence[_Motion], pose_at: PoseAt, delay_s: float) -> 
     if factor <= 0.0:  # the camera hardly moves
         return 1.0
     others = np.array([_factor(seen[anchors != a], stated[anchors != a]) for a in set(anchors)])
-    sigma = np.sqrt((len(others) - 1) / len(others) * ((others - others.mean()) ** 2).sum())
+    sigma = float(jackknife_sigmas(others))
     uncertain = abs(np.log(factor)) < max(_LEAST_FACTOR, _CERTAIN * sigma)
     return 1.0 if uncertain else factor
 

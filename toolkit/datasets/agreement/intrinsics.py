@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.agreement.pairs import FramePair
+from toolkit.datasets.jackknife import jackknife_sigmas
 from toolkit.datasets.shutter.alignment import RelativePose
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
@@ -34,9 +35,8 @@ _ITERATIONS, _LARGEST_STEP, _CONVERGED = 25, 0.1, 2e-4
 # Against singular equations, where an image has no texture or shows a single plane.
 _RIDGE = 1e-6
 # Corrections that are reported: of the focal length (relative), the principal point (in focal
-# lengths) and the distortion, and in standard errors.
-# Those of right recordings of real sensors are up to 4.5 standard errors, because registration and
-# noise of depth are not modelled.
+# lengths) and the distortion, and in standard errors. Right recordings of real sensors have up to
+# 4.5, because registration and noise of depth are not modelled.
 _NOTED, _CERTAIN = np.array([0.03, 0.05, 0.05, 0.06]), 7.0
 # They must lower the product of the noises of colour and depth by this factor.
 _MIN_GAIN = 1.02
@@ -92,9 +92,9 @@ def estimate_intrinsics(pairs: Sequence[FramePair]) -> IntrinsicsEstimate | None
         pairs: only the farthest of those with the same first frame is used: noise and wrong
             registration of depth weigh least where the motion is large.
     """
-    farthest = {pair.first: pair for pair in pairs}
-    stated = _aligned([_Pair(pair) for pair in farthest.values()], free=False)
-    found = _aligned([_Pair(pair) for pair in farthest.values()], free=True)
+    farthest = [_Pair(pair) for pair in {pair.first: pair for pair in pairs}.values()]
+    # The second time, the poses start at those of the stated intrinsics.
+    stated, found = (_aligned(farthest, free) for free in (False, True))
     if stated is None or found is None:
         return None
     gain = float(np.median(stated.noises) / np.median(found.noises))
@@ -126,14 +126,8 @@ def _aligned(pairs: Sequence[_Pair], free: bool) -> _Aligned | None:
         moved = max(pair.move(step) for pair in used)
         if max(moved, float(np.abs(step).max())) < _CONVERGED:
             break
-    return _Aligned(values, _jackknife(reduced, H, g), [pair.noise for pair in used])
-
-
-def _jackknife(reduced: Sequence[tuple[Array, Array]], H: Array, g: Array) -> Array:
-    """Standard deviations [4] from the solutions without each of the pairs."""
     without = np.array([np.linalg.solve(H - part, -(g - own)) for part, own in reduced])
-    squares = ((without - without.mean(axis=0)) ** 2).sum(axis=0)
-    return np.sqrt((1.0 - 1.0 / len(reduced)) * squares)
+    return _Aligned(values, jackknife_sigmas(without), [pair.noise for pair in used])
 
 
 class _Pair:

@@ -45,7 +45,7 @@ class FramePair:
 
 
 def aligned_pairs(dataset: RecordedDataset) -> list[FramePair]:
-    """Evenly spaced frames, each with up to three later ones that can be aligned to it."""
+    """Evenly spaced frames, each with up to four later ones that can be aligned to it."""
     small = _small(dataset)
     last = max(len(dataset) - 1 - max(_GAPS), 0)
     anchors = np.unique(np.linspace(0, last, _ANCHORS).astype(int)).tolist()
@@ -59,18 +59,18 @@ def aligned_pair(dataset: RecordedDataset, index: int) -> FramePair | None:
 
 def _small(dataset: RecordedDataset) -> RecordedDataset:
     """The frames of a dataset, as small as is enough for their motion."""
-    camera = dataset.recording.camera
-    size = (_WIDTH, round(_WIDTH * camera.height / camera.width))
-    chosen = size if camera.width > _WIDTH else None
-    return RecordedDataset(dataset.recording, chosen, len(dataset))
+    recording = dataset.recording
+    return RecordedDataset(recording, recording.camera.size_up_to(_WIDTH), len(dataset))
 
 
 def _later(dataset: RecordedDataset, anchor: int, gaps: Sequence[int]) -> Iterator[FramePair]:
     first = _levels(dataset, anchor)
+    if first is None:
+        return
     pose = RelativePose(np.eye(4))
     for gap in gaps:
         second = _levels(dataset, anchor + gap)
-        if first is None or second is None:
+        if second is None:
             return
         here, there = MovingView(first, np.zeros(6)), MovingView(second, np.zeros(6))
         found = align(here, there, pose, ShutterTimes(), coarse=True)

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.jackknife import jackknife_sigmas
 from toolkit.datasets.shutter.alignment import ShutterTimes, TimeEquations
 from toolkit.datasets.shutter.windows import MIN_FRAMES, ShutterWindow
 from toolkit.errors import ToolkitError
@@ -201,8 +202,7 @@ def _combined(
     without = np.array(
         [_solved(information, wanted, weights * (window != n)) for n in range(len(groups))]
     )
-    squares = ((without - without.mean(axis=0)) ** 2).sum(axis=0)
-    return times, np.sqrt((1.0 - 1.0 / len(groups)) * squares)
+    return times, jackknife_sigmas(without)
 
 
 def _solved(information: Array, wanted: Array, weights: Array) -> Array:

@@ -21,13 +21,11 @@ def estimate_readout(recording: Recording, max_frames: int | None = None) -> Shu
     Raises:
         DatasetError: the recording has no frames.
     """
-    camera = recording.camera
     if not recording.files or any(files.depth is None for files in recording.files[:max_frames]):
         return ShutterEstimate(fault="there are frames without depth")
-    size = (_WIDTH, round(_WIDTH * camera.height / camera.width))
     # With a readout of one second, that of the frames is the share of rows that are not cropped.
     known = replace(recording, readout_s=1.0)
-    frames = RecordedDataset(known, size if camera.width > _WIDTH else None, max_frames)
+    frames = RecordedDataset(known, known.camera.size_up_to(_WIDTH), max_frames)
     found = estimate_shutter(frames)
     return replace(
         found,

@@ -235,10 +235,9 @@ class LoopCloser:
                 suspected -= {n for pair in existing if number in pair for n in pair}
             images: Mapping[int, ImageEdges | None] = dict.fromkeys(sorted(suspected))
             if self._parts.verification is not None:
-                parts = [
-                    [n for n in part if n in {*suspected, number}] for part in self.parts(atlas)
-                ]
-                images = self._images.unambiguous(atlas, number, parts, candidates, links)
+                images = self._images.unambiguous(
+                    atlas, number, suspected, self.parts(atlas), candidates, links
+                )
             for other, found_by_images in images.items():
                 edge = existing.get((other, number)) or existing.get((number, other))
                 new = self._between.close(

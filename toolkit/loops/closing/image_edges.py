@@ -83,6 +83,7 @@ class ImageLoops:
         self,
         atlas: Atlas,
         number: int,
+        others: set[int],
         parts: Sequence[Sequence[int]],
         candidates: Sequence[LoopCandidate],
         odometry: Sequence[PoseEdge],
@@ -94,16 +95,15 @@ class ImageLoops:
 
         Args:
             number: of the submap of the queries.
-            parts: the numbers of the older submaps, by submaps whose relative poses are known.
+            others: numbers of the older submaps.
+            parts: the numbers of all submaps, by submaps whose relative poses are known.
             candidates: all candidate pairs of the submap.
             odometry: edges between anchors.
         """
         images: dict[int, ImageEdges] = {}
         for part in parts:
             known, found = number in part, {}
-            for other in part:
-                if other == number:
-                    continue
+            for other in sorted(others.intersection(part)):
                 pairs = [c for c in candidates if c.match_submap == other]
                 try:
                     found[other] = self._edges(atlas, (other, number), pairs, odometry, not known)
