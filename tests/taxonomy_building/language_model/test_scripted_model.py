@@ -71,11 +71,12 @@ def test_whatever_the_error_the_tree_has_every_class_once(tree, fake, kind):
 def test_requests_without_an_answer_are_repeated(tree, fake, kind, monkeypatch):
     monkeypatch.setattr("benchmarks.scripted_model.TIMEOUT_S", 0.1)
     scripted = ScriptedModel({kind: 0.4}, seed=1)
-    timeout_s = 0.1 if kind == "time-out" else 10.0
+    too_late = kind in ("time-out", "slow")
+    timeout_s = 0.1 if too_late else 10.0
     assert groups(tree(scripted, max_attempts=20, request_timeout_s=timeout_s)) == RULES
     assert scripted.errors[kind] > 0
     repeated = len(fake.requests) - len({str(r) for r in fake.requests})
-    if kind == "time-out":
+    if too_late:
         # On a busy machine, an answer that should arrive in time may be late as well.
         assert repeated >= scripted.errors[kind]
     else:
