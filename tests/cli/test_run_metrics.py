@@ -72,7 +72,8 @@ def test_with_given_poses_the_map_lies_in_the_world(gaussians):
     metrics = measure_run(InMemoryScene(gaussians), tracked(T_map_camera), dataset, unseen, options)
     # The map lies elsewhere here, so that a silent alignment would show.
     assert metrics["trajectory"]["alignment"] == "none"
-    assert metrics["trajectory"]["ate_rmse_cm"] > 100.0
+    # The poses would be compared with themselves.
+    assert metrics["trajectory"]["ate_rmse_cm"] is None
     assert metrics["images"]["unseen"]["psnr_db"] < 30.0
 
 

@@ -11,6 +11,7 @@ from toolkit.datasets import checks
 from toolkit.datasets.agreement.findings import contradictions
 from toolkit.datasets.agreement.given_poses import sudden_steps
 from toolkit.datasets.agreement.pairs import aligned_pair, aligned_pairs
+from toolkit.datasets.agreement.refine import with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
 from toolkit.errors import SettingsError
@@ -60,6 +61,20 @@ def test_a_wrong_principal_point_is_named_with_the_right_one(box):
 def test_distortion_that_is_not_stated_is_named(tmp_path):
     (line,) = found(describe("folder", write_recording(tmp_path / "bent", TIMES_S, k1=-0.2)))
     assert float(re.search(r"k1 = (\S+) ", line)[1]) == pytest.approx(-0.2, abs=0.03)
+
+
+def test_intrinsics_are_refined_where_they_are_wrong(tmp_path, box):
+    bent = describe("folder", write_recording(tmp_path / "bent", TIMES_S, k1=-0.2))
+    wrong = replace(bent, camera=replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy))
+    refined = with_refined_intrinsics(wrong)
+    assert refined.camera.fx == pytest.approx(CAMERA.fx, rel=0.01)
+    assert refined.distortion[0] == pytest.approx(-0.2, abs=0.03)
+    assert (
+        "k1=-0." in refined.notes[-1] and f"stated: fx={wrong.camera.fx:.1f}" in refined.notes[-1]
+    )
+    right = with_refined_intrinsics(box)
+    assert right.camera == box.camera and right.distortion is None
+    assert "agree" in right.notes[-1]
 
 
 @pytest.mark.parametrize("factor", [1.25, 0.9])

@@ -95,7 +95,7 @@ def test_a_run_maps_images_at_their_given_poses(recording, tmp_path):
     run(validated(RunSettings, content), tmp_path / "run")
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert metrics["frames"]["lost"] == 0
-    assert metrics["trajectory"]["ate_rmse_cm"] < 1e-6
+    assert metrics["trajectory"]["ate_rmse_cm"] is None
     assert metrics["images"]["mapped"]["psnr_db"] > 22.0
     assert json.loads((tmp_path / "run" / "frames.json").read_text())["metric"] is True
 

@@ -8,7 +8,13 @@ from dataclasses import replace
 from toolkit.cli.programs import EvaluateOptions
 from toolkit.errors import FormatError
 from toolkit.evaluation.frame_states import part_lines
-from toolkit.evaluation.metrics import Metrics, flattened, read_metrics, write_metrics
+from toolkit.evaluation.metrics import (
+    Metrics,
+    delay_lines,
+    flattened,
+    read_metrics,
+    write_metrics,
+)
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.runs.evaluation import evaluate
 from toolkit.runs.finished import FinishedRun, load_run
@@ -72,7 +78,7 @@ def main(options: EvaluateOptions) -> int:
     with_mesh = "mesh" in new_metrics
     for key in _PRINTED + _PRINTED_MESH * with_mesh + _PRINTED_SUBSET * evaluation.subset:
         print(f"{key:<42}{_format(values.get(key))}")
-    for line in part_lines(run.states, run.parts):
+    for line in (*delay_lines(new_metrics["trajectory"]), *part_lines(run.states, run.parts)):
         print(line)
     for key, value in values.items():
         if key.startswith("parts.part_"):

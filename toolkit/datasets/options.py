@@ -49,6 +49,9 @@ class DatasetOptions:
     fov_deg: Annotated[float, Range(gt=0, lt=180)] | None = None
     """Horizontal field of view in degrees of a recording without intrinsics. By default, it is
     estimated."""
+    intrinsics: Literal["stated", "refine"] = "stated"
+    """Intrinsics of input with depth: those stated with the recording, or refine, which replaces
+    those that contradict depth and colour by the ones that agree."""
     depth_offset: Literal["auto"] | tuple[float, float] | None = None
     """Offset (x, y) in pixels of the colour images from the depth images; depth is shifted by it.
     auto estimates a constant offset from the edges of both. By default, depth is not shifted."""

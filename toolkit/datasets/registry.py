@@ -24,6 +24,7 @@ from toolkit.datasets import (
     tum,
     video,
 )
+from toolkit.datasets.agreement.refine import with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.carrier import without_carrier
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
@@ -71,6 +72,7 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can specify about a 
     depth_offset: Literal["auto"] | tuple[float, float] | None = None,
     readout_ms: Literal["auto"] | float = "auto",
     ignore_carrier: bool = True,
+    refine_intrinsics: bool = False,
 ) -> RecordedDataset:
     """Open a dataset; frames are loaded on access.
 
@@ -92,6 +94,8 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can specify about a 
             not specified. Not used without depth.
         ignore_carrier: whether parts of the image that move with the camera, such as the body of
             a robot, are found and ignored. Not used without depth.
+        refine_intrinsics: whether intrinsics that contradict depth and colour are replaced by those
+            that agree. Not used without depth.
 
     Raises:
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
@@ -117,6 +121,9 @@ def open_dataset(  # noqa: PLR0913 - everything that a user can specify about a 
     first = dataset[0]
     if needs_depth:
         _check_depth(dataset, first, path)
+        if refine_intrinsics:
+            recording = with_refined_intrinsics(recording, max_frames)
+            dataset = RecordedDataset(recording, image_size, max_frames)
     if recording.readout_s is None:
         recording = _with_readout(recording, max_frames)
         dataset = RecordedDataset(recording, image_size, max_frames)

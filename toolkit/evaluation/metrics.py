@@ -27,6 +27,7 @@ from toolkit.evaluation.images import (
     ssim_and_ms_ssim,
 )
 from toolkit.evaluation.lpips import Lpips
+from toolkit.evaluation.pose_delay import pose_delay
 from toolkit.evaluation.trajectory import (
     MAX_TIME_DIFFERENCE_S,
     AlignmentKind,
@@ -148,20 +149,26 @@ def view_quality(
 def trajectory_metrics(
     estimate: Trajectory, truth: Trajectory | None, alignment: AlignmentKind = "se3"
 ) -> Metrics:
-    """Compute ATE and RPE in centimetres and degrees; None without ground truth.
+    """Compute ATE and RPE in centimetres and degrees.
+
+    They are None without ground truth, and with the alignment "none": the poses are the true ones.
 
     Raises:
         DatasetError: there is ground truth, but no poses can be associated in time.
     """
     keys = ("ate_rmse_cm", "ate_mean_cm", "ate_median_cm", "ate_max_cm", "ate_pairs")
     rpe_keys = ("rpe_translation_cm", "rpe_rotation_deg")
-    metrics: Metrics = dict.fromkeys((*keys, *rpe_keys)) | {
+    delay_keys = ("truth_delay_s", "ate_rmse_without_delay_cm")
+    metrics: Metrics = dict.fromkeys((*keys, *rpe_keys, *delay_keys)) | {
         "alignment": alignment,
         "convention": f"tracked frames with ground truth within {MAX_TIME_DIFFERENCE_S:g} s; RPE: "
         "root mean square over steps between neighbouring ones",
     }
-    if truth is None or len(truth) == 0 or len(estimate) == 0:
+    if alignment == "none" or truth is None or len(truth) == 0 or len(estimate) == 0:
         return metrics
+    delay = pose_delay(estimate, truth, alignment)
+    if delay is not None:
+        metrics |= zip(delay_keys, (delay.delay_s, 100.0 * delay.rmse_m), strict=True)
     ate = absolute_trajectory_error(estimate, truth, alignment)
     metres = (ate.rmse_m, ate.mean_m, ate.median_m, ate.max_m)
     metrics |= zip(keys, (*(100.0 * m for m in metres), ate.pairs), strict=True)
@@ -173,6 +180,19 @@ def trajectory_metrics(
         metrics["rpe_translation_cm"] = 100.0 * rpe.translation_rmse_m
         metrics["rpe_rotation_deg"] = rpe.rotation_rmse_deg
     return metrics
+
+
+def delay_lines(metrics: Metrics) -> list[str]:
+    """Name the delay of the true poses of `trajectory_metrics`; no line without one."""
+    delay_s = metrics["truth_delay_s"]
+    if delay_s is None:
+        return []
+    late = "late" if delay_s > 0 else "early"
+    return [
+        f"The true poses are {abs(delay_s):.3f} s {late}: ATE is {metrics['ate_rmse_cm']:.2f} cm, "
+        f"and {metrics['ate_rmse_without_delay_cm']:.2f} cm with --dataset.pose-delay "
+        f"{delay_s:.3f}."
+    ]
 
 
 def image_metrics(views: Sequence[ViewQuality]) -> Metrics:

@@ -43,6 +43,7 @@ def open_recording(
         depth_offset=place.depth_offset,
         readout_ms=place.readout_ms,
         ignore_carrier=place.ignore_carrier,
+        refine_intrinsics=place.intrinsics == "refine",
     )
     given = dataset.recording.ground_truth
     if given is not None and place.pose_convention == "correct" and needs_depth:

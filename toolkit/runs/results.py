@@ -22,7 +22,13 @@ from toolkit.evaluation.frame_states import (
     summary_lines,
 )
 from toolkit.evaluation.images import psnr_db
-from toolkit.evaluation.metrics import Metrics, RunCosts, cost_metrics, write_metrics
+from toolkit.evaluation.metrics import (
+    Metrics,
+    RunCosts,
+    cost_metrics,
+    delay_lines,
+    write_metrics,
+)
 from toolkit.evaluation.report import (
     DelaySeries,
     LevelImage,
@@ -130,10 +136,9 @@ def write_results(
         write_scene_graph(folder, result.scene_graph, names.metric, origins)
     write_separate_parts(result, folder, settings)
     states, parts = frame_states(result), part_summaries(result)
-    summary = [*record.findings, *summary_lines(states, parts)]
+    summary = [*record.findings, *summary_lines(states, parts), *names.notes]
     frames = frame_records(result, tracked, states, parts)
     frames["camera"] = asdict(dataset.camera)
-    summary.extend(names.notes)
     frames |= {"metric": names.metric, **origins}
     if pace is not None:
         frames["dropped"] = result.dropped_frames
@@ -152,6 +157,7 @@ def write_results(
     metrics["parts"] = {"count": len(parts), **apart}
     metrics |= evaluate_loops(folder.loops, dataset, settings)
     metrics |= _mode_metrics(record)
+    summary.extend(delay_lines(metrics["trajectory"]))
     write_metrics(folder.metrics, metrics)
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, dataset, folder, names)

@@ -9,7 +9,7 @@ one coefficient of radial distortion.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -57,31 +57,46 @@ class IntrinsicsEstimate:
     sigmas: Array
     gain: float
 
+    @property
+    def noted(self) -> NDArray[np.bool_]:
+        """[4] which of the values differ significantly from the stated ones."""
+        noted = np.abs(self.values) > np.maximum(_NOTED, _CERTAIN * self.sigmas)
+        return noted & (self.gain >= _MIN_GAIN)
+
+    def applied_to(self, camera: Camera) -> Camera:
+        """A stated camera of any size with the focal length and principal point found."""
+        log_factor, x, y, _ = self.values
+        factor = float(np.exp(log_factor))
+        return replace(
+            camera,
+            fx=factor * camera.fx,
+            fy=factor * camera.fy,
+            cx=camera.cx + float(x) * camera.fx,
+            cy=camera.cy + float(y) * camera.fy,
+        )
+
     def finding(self, camera: Camera) -> str | None:
         """A line about stated intrinsics that depth and colour contradict; None if they agree.
 
         Args:
             camera: the stated one.
         """
-        noted = np.abs(self.values) > np.maximum(_NOTED, _CERTAIN * self.sigmas)
-        if self.gain < _MIN_GAIN or not noted.any():
+        noted, found = self.noted, self.applied_to(camera)
+        if not noted.any():
             return None
-        factor = float(np.exp(self.values[0]))
         words = []
         if noted[0]:
-            words.append(f"a focal length of {factor * camera.fx:.1f} instead of {camera.fx:.1f}")
+            words.append(f"a focal length of {found.fx:.1f} instead of {camera.fx:.1f}")
         if noted[1] or noted[2]:
-            x = camera.cx + self.values[1] * camera.fx
-            y = camera.cy + self.values[2] * camera.fy
             words.append(
-                f"a principal point at ({x:.1f}, {y:.1f}) instead of "
+                f"a principal point at ({found.cx:.1f}, {found.cy:.1f}) instead of "
                 f"({camera.cx:.1f}, {camera.cy:.1f})"
             )
         if noted[3]:
             words.append(f"radial distortion k1 = {self.values[3]:.3f} that is not stated")
         return (
             f"the intrinsics contradict depth and colour, which agree with {' and '.join(words)}; "
-            f"calibrate the camera, and state the values with the recording"
+            f"calibrate the camera, or use --dataset.intrinsics refine"
         )
 
 
