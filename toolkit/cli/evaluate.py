@@ -10,9 +10,9 @@ from toolkit.errors import FormatError
 from toolkit.evaluation.frame_states import part_lines
 from toolkit.evaluation.metrics import (
     Metrics,
-    delay_lines,
     flattened,
     read_metrics,
+    truth_lines,
     write_metrics,
 )
 from toolkit.evaluation.options import EvaluationOptions
@@ -78,7 +78,7 @@ def main(options: EvaluateOptions) -> int:
     with_mesh = "mesh" in new_metrics
     for key in _PRINTED + _PRINTED_MESH * with_mesh + _PRINTED_SUBSET * evaluation.subset:
         print(f"{key:<42}{_format(values.get(key))}")
-    for line in (*delay_lines(new_metrics["trajectory"]), *part_lines(run.states, run.parts)):
+    for line in (*truth_lines(new_metrics["trajectory"]), *part_lines(run.states, run.parts)):
         print(line)
     for key, value in values.items():
         if key.startswith("parts.part_"):

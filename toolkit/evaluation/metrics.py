@@ -27,13 +27,13 @@ from toolkit.evaluation.images import (
     ssim_and_ms_ssim,
 )
 from toolkit.evaluation.lpips import Lpips
-from toolkit.evaluation.pose_delay import pose_delay
 from toolkit.evaluation.trajectory import (
     MAX_TIME_DIFFERENCE_S,
     AlignmentKind,
     absolute_trajectory_error,
     relative_pose_error,
 )
+from toolkit.evaluation.true_poses import pose_delay, pose_scale
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
 from toolkit.stages import Column
@@ -159,7 +159,8 @@ def trajectory_metrics(
     keys = ("ate_rmse_cm", "ate_mean_cm", "ate_median_cm", "ate_max_cm", "ate_pairs")
     rpe_keys = ("rpe_translation_cm", "rpe_rotation_deg")
     delay_keys = ("truth_delay_s", "ate_rmse_without_delay_cm")
-    metrics: Metrics = dict.fromkeys((*keys, *rpe_keys, *delay_keys)) | {
+    scale_keys = ("truth_scale", "ate_rmse_at_scale_cm")
+    metrics: Metrics = dict.fromkeys((*keys, *rpe_keys, *delay_keys, *scale_keys)) | {
         "alignment": alignment,
         "convention": f"tracked frames with ground truth within {MAX_TIME_DIFFERENCE_S:g} s; RPE: "
         "root mean square over steps between neighbouring ones",
@@ -169,6 +170,9 @@ def trajectory_metrics(
     delay = pose_delay(estimate, truth, alignment)
     if delay is not None:
         metrics |= zip(delay_keys, (delay.delay_s, 100.0 * delay.rmse_m), strict=True)
+    scale = pose_scale(estimate, truth) if alignment == "se3" else None
+    if scale is not None:
+        metrics |= zip(scale_keys, (scale.factor, 100.0 * scale.rmse_m), strict=True)
     ate = absolute_trajectory_error(estimate, truth, alignment)
     metres = (ate.rmse_m, ate.mean_m, ate.median_m, ate.max_m)
     metrics |= zip(keys, (*(100.0 * m for m in metres), ate.pairs), strict=True)
@@ -182,17 +186,22 @@ def trajectory_metrics(
     return metrics
 
 
-def delay_lines(metrics: Metrics) -> list[str]:
-    """Name the delay of the true poses of `trajectory_metrics`; no line without one."""
-    delay_s = metrics["truth_delay_s"]
-    if delay_s is None:
-        return []
-    late = "late" if delay_s > 0 else "early"
-    return [
-        f"The true poses are {abs(delay_s):.3f} s {late}: ATE is {metrics['ate_rmse_cm']:.2f} cm, "
-        f"and {metrics['ate_rmse_without_delay_cm']:.2f} cm with --dataset.pose-delay "
-        f"{delay_s:.3f}."
-    ]
+def truth_lines(metrics: Metrics) -> list[str]:
+    """Name a wrong clock or unit of the true poses, from `trajectory_metrics`; a line each."""
+    delay_s, scale, ate_cm = (metrics[k] for k in ("truth_delay_s", "truth_scale", "ate_rmse_cm"))
+    lines = []
+    if delay_s is not None:
+        late, right_cm = "late" if delay_s > 0 else "early", metrics["ate_rmse_without_delay_cm"]
+        lines.append(
+            f"The true poses are {abs(delay_s):.3f} s {late}: ATE is {ate_cm:.2f} cm, and "
+            f"{right_cm:.2f} cm with --dataset.pose-delay {delay_s:.3f}."
+        )
+    if scale is not None:
+        lines.append(
+            f"Depth and true poses are in different units: ATE is {ate_cm:.2f} cm, and "
+            f"{metrics['ate_rmse_at_scale_cm']:.2f} cm if depth is multiplied by {scale:.3f}."
+        )
+    return lines
 
 
 def image_metrics(views: Sequence[ViewQuality]) -> Metrics:

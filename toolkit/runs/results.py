@@ -26,7 +26,7 @@ from toolkit.evaluation.metrics import (
     Metrics,
     RunCosts,
     cost_metrics,
-    delay_lines,
+    truth_lines,
     write_metrics,
 )
 from toolkit.evaluation.report import (
@@ -157,7 +157,7 @@ def write_results(
     metrics["parts"] = {"count": len(parts), **apart}
     metrics |= evaluate_loops(folder.loops, dataset, settings)
     metrics |= _mode_metrics(record)
-    summary.extend(delay_lines(metrics["trajectory"]))
+    summary.extend(truth_lines(metrics["trajectory"]))
     write_metrics(folder.metrics, metrics)
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, dataset, folder, names)

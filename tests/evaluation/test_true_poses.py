@@ -1,12 +1,12 @@
-"""The delay of true poses against the images."""
+"""The clock and the unit of true poses."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from toolkit.evaluation.metrics import delay_lines, trajectory_metrics
-from toolkit.evaluation.pose_delay import pose_delay
+from toolkit.evaluation.metrics import trajectory_metrics, truth_lines
+from toolkit.evaluation.true_poses import pose_delay, pose_scale
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 
@@ -32,11 +32,7 @@ def test_the_delay_and_the_error_without_it_are_found(intervals):
 
 
 def test_a_scale_is_estimated_with_the_delay():
-    estimate = walk()
-    scaled = estimate.T_world_camera.copy()
-    scaled[:, :3, 3] *= 0.3
-    estimate = Trajectory(estimate.timestamps_s, scaled)
-    found = pose_delay(estimate, walk(2 * INTERVAL_S), "sim3")
+    found = pose_delay(scaled(walk(), 0.3), walk(2 * INTERVAL_S), "sim3")
     assert found.delay_s == pytest.approx(2 * INTERVAL_S)
 
 
@@ -53,9 +49,29 @@ def test_few_poses_tell_nothing():
 def test_it_is_a_line_with_both_errors():
     metrics = trajectory_metrics(walk(), walk(3 * INTERVAL_S))
     assert metrics["ate_rmse_cm"] > 5.0 > 1.0 > metrics["ate_rmse_without_delay_cm"]
-    (line,) = delay_lines(metrics)
+    (line,) = truth_lines(metrics)
     assert "0.120 s late" in line and "--dataset.pose-delay 0.120" in line
-    assert delay_lines(trajectory_metrics(walk(), walk())) == []
+    assert truth_lines(trajectory_metrics(walk(), walk())) == []
+
+
+def scaled(trajectory, factor):
+    poses = trajectory.T_world_camera.copy()
+    poses[:, :3, 3] *= factor
+    return Trajectory(trajectory.timestamps_s, poses)
+
+
+@pytest.mark.parametrize("factor", [1.25, 0.9])
+def test_another_unit_of_the_truth_is_a_line_with_both_errors(factor):
+    estimate = walk(drift_m=0.01)
+    found = pose_scale(estimate, scaled(walk(), factor))
+    assert found.factor == pytest.approx(factor, rel=0.01) and found.rmse_m < 0.01
+    (line,) = truth_lines(trajectory_metrics(estimate, scaled(walk(), factor)))
+    assert f"multiplied by {found.factor:.3f}" in line
+
+
+@pytest.mark.parametrize(("factor", "drift_m"), [(1.02, 0.0), (1.0, 0.3), (1.0, 2.0)])
+def test_drift_and_calibration_are_no_unit(factor, drift_m):
+    assert pose_scale(walk(drift_m=drift_m), scaled(walk(), factor)) is None
 
 
 def test_poses_are_not_compared_with_themselves():

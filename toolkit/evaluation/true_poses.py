@@ -1,4 +1,7 @@
-"""Delay of ground-truth poses against the images, found from an estimated trajectory."""
+"""Delay and unit of ground-truth poses, found from an estimated trajectory.
+
+A wrong clock or unit of the truth is no error of the estimate, and must not pass for one.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,9 @@ _SPAN, _STILL_M, _STILL_RAD = 5, 0.01, 0.01
 # A delay is reported if it reduces the differences to this part in each half of the frames, and is
 # the best one in both, up to a number of intervals.
 _EXPLAINED, _SAME_DELAY, _MIN_POSES = 0.6, 1.0, 24
+# A unit is reported if it differs by this part, reduces the ATE of each half of the frames as much,
+# and is the same in both, up to this part.
+_LEAST_SCALE, _SAME_SCALE = 0.04, 0.02
 
 
 @dataclass(frozen=True)
@@ -71,6 +77,46 @@ def pose_delay(estimate: Trajectory, truth: Trajectory, kind: AlignmentKind) -> 
     except DatasetError:
         return None  # too few poses are left
     return PoseDelay(delay_s, ate.rmse_m)
+
+
+@dataclass(frozen=True)
+class PoseScale:
+    """The unit of true poses against that of depth.
+
+    Attributes:
+        factor: of estimated positions, and so of depth, with which they agree.
+        rmse_m: ATE with that factor, in metres of the truth.
+    """
+
+    factor: float
+    rmse_m: float
+
+
+def pose_scale(estimate: Trajectory, truth: Trajectory) -> PoseScale | None:
+    """The factor of depth that explains most of the ATE; None if none does.
+
+    Args:
+        estimate: poses in the unit of depth.
+        truth: poses in a unit that may be another one.
+    """
+    if len(estimate) < _MIN_POSES:
+        return None
+    half = estimate.timestamps_s[len(estimate) // 2]
+    first = estimate.timestamps_s < half
+    found = []
+    for part in (np.ones_like(first), first, ~first):
+        chosen = Trajectory(estimate.timestamps_s[part], estimate.T_world_camera[part])
+        try:
+            rigid, scaled = (absolute_trajectory_error(chosen, truth, k) for k in ("se3", "sim3"))
+        except DatasetError:
+            return None  # a half has no true poses
+        if scaled.rmse_m >= _EXPLAINED * rigid.rmse_m:
+            return None
+        found.append((scaled.alignment.scale, scaled.rmse_m))
+    factor, rmse_m = found[0]
+    logs = np.log([scale for scale, _ in found])
+    known = abs(logs[0]) > _LEAST_SCALE and np.abs(logs - logs[0]).max() < _SAME_SCALE
+    return PoseScale(factor, rmse_m) if known else None
 
 
 class _Motions:
