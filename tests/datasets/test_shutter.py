@@ -63,10 +63,10 @@ def test_wrong_times_give_no_readout():
 def test_a_window_ends_at_an_image_that_was_delivered_twice():
     taken = times(12)
     taken[9] = taken[8]
-    window = estimate._window(MovingRoom(times(12), 0.02, taken_s=taken), 0)
+    (window,) = estimate._windows(MovingRoom(times(12), 0.02, taken_s=taken), [0])
     assert window is not None and len(window.levels) == 9
     taken[4] = taken[3]
-    assert estimate._window(MovingRoom(times(12), 0.02, taken_s=taken), 0) is None
+    assert estimate._windows(MovingRoom(times(12), 0.02, taken_s=taken), [0]) == []
 
 
 def test_a_still_camera_has_no_readout():

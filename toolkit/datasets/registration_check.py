@@ -187,12 +187,7 @@ def _quarters(shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
 def _correlation(edges: NDArray[np.float32], gradient: NDArray[np.float32]) -> NDArray[np.float64]:
     """Return the sum of edges(p) * gradient(p + shift) for all shifts (y, x)."""
     padded = np.pad(gradient, _REACH)
-    rows, columns = np.nonzero(edges)
-    result = np.empty((2 * _REACH + 1, 2 * _REACH + 1))
-    for y in range(2 * _REACH + 1):
-        for x in range(2 * _REACH + 1):
-            result[y, x] = padded[rows + y, columns + x].sum()
-    return result
+    return np.asarray(cv2.matchTemplate(padded, edges, cv2.TM_CCORR), np.float64)
 
 
 def _standardised(surface: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from toolkit.datasets.shutter.levels import ShutterLevel, shutter_levels
 from toolkit.errors import ToolkitError
 
 Array = NDArray[np.float64]
+# Small images of a frame, the larger ones first.
+_Levels = tuple[ShutterLevel, ShutterLevel]
 
 _WIDTH = 160
 # Frames that later ones are aligned to, and by how many frames these are later. Each alignment
@@ -49,12 +52,18 @@ def aligned_pairs(dataset: RecordedDataset) -> list[FramePair]:
     small = _small(dataset)
     last = max(len(dataset) - 1 - max(_GAPS), 0)
     anchors = np.unique(np.linspace(0, last, _ANCHORS).astype(int)).tolist()
-    return [pair for anchor in anchors for pair in _later(small, anchor, _GAPS)]
+    with ThreadPoolExecutor(1) as reader:  # reads later frames while earlier ones are aligned
+        read = reader.map(lambda anchor: _read(small, anchor, _GAPS), anchors)
+        return [
+            pair
+            for anchor, levels in zip(anchors, read, strict=True)
+            for pair in _later(anchor, _GAPS, levels)
+        ]
 
 
 def aligned_pair(dataset: RecordedDataset, index: int) -> FramePair | None:
     """A frame and the next one; None if they cannot be aligned."""
-    return next(_later(_small(dataset), index, (1,)), None)
+    return next(_later(index, (1,), _read(_small(dataset), index, (1,))), None)
 
 
 def _small(dataset: RecordedDataset) -> RecordedDataset:
@@ -63,14 +72,19 @@ def _small(dataset: RecordedDataset) -> RecordedDataset:
     return RecordedDataset(recording, recording.camera.size_up_to(_WIDTH), len(dataset))
 
 
-def _later(dataset: RecordedDataset, anchor: int, gaps: Sequence[int]) -> Iterator[FramePair]:
-    first = _levels(dataset, anchor)
-    if first is None:
-        return
+def _read(dataset: RecordedDataset, anchor: int, gaps: Sequence[int]) -> list[_Levels | None]:
+    """Small images of a frame and of later ones."""
+    return [_levels(dataset, anchor + gap) for gap in (0, *gaps)]
+
+
+def _later(
+    anchor: int, gaps: Sequence[int], levels: Sequence[_Levels | None]
+) -> Iterator[FramePair]:
+    """Align the second and further frames to the first one, until that fails."""
+    first, *others = levels
     pose = RelativePose(np.eye(4))
-    for gap in gaps:
-        second = _levels(dataset, anchor + gap)
-        if second is None:
+    for gap, second in zip(gaps, others, strict=True):
+        if first is None or second is None:
             return
         here, there = MovingView(first, np.zeros(6)), MovingView(second, np.zeros(6))
         found = align(here, there, pose, ShutterTimes(), coarse=True)
@@ -92,7 +106,7 @@ def _shared(first: ShutterLevel, second: ShutterLevel, T_second_first: Array) ->
     return float(np.mean(inside & (np.abs(depth - z) < _MAX_DISTANCE * z)))
 
 
-def _levels(dataset: RecordedDataset, index: int) -> tuple[ShutterLevel, ShutterLevel] | None:
+def _levels(dataset: RecordedDataset, index: int) -> _Levels | None:
     """Small images of a frame; None if there is none, or if it cannot be read."""
     if index >= len(dataset):
         return None

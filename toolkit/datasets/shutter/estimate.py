@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -116,7 +117,7 @@ def estimate_shutter(frames: TimedFrames) -> ShutterEstimate:
             fault=f"there are fewer than {_MIN_WINDOWS} windows of {_WINDOW} frames in regular "
             f"intervals of at most {_MAX_PERIOD_S:g} s",
         )
-    windows = [window for start in starts if (window := _window(frames, start)) is not None]
+    windows = _windows(frames, starts)
     times = np.zeros(2)
     for number in range(_ROUNDS):
         found = [w.equations(ShutterTimes.of(times), coarse=number == 0) for w in windows]
@@ -152,20 +153,28 @@ def _window_starts(times_s: Array) -> list[int]:
     return starts if period_s <= _MAX_PERIOD_S else []
 
 
-def _window(frames: TimedFrames, start: int) -> ShutterWindow | None:
-    """The frames from an index, without repeated images, whose times are unknown."""
+def _windows(frames: TimedFrames, starts: Sequence[int]) -> list[ShutterWindow]:
+    """The windows from some frames on that can be read and aligned."""
+    with ThreadPoolExecutor(1) as reader:  # reads later windows while earlier ones are aligned
+        read = reader.map(lambda start: _readable(frames, start), starts)
+        found = [ShutterWindow.of(own) for own in read if len(own) >= MIN_FRAMES]
+    return [window for window in found if window is not None]
+
+
+def _readable(frames: TimedFrames, start: int) -> list[Frame]:
+    """The frames of a window, without repeated images, whose times are unknown."""
     read: list[Frame] = []
     longest: list[Frame] = []
     for index in range(start, start + _WINDOW):
         try:
             frame = frames[index]
         except ToolkitError:
-            return None  # the file is named when the frame is processed
+            return []  # the file is named when the frame is processed
         if read and _repeats(read[-1], frame):
             read = []
         read.append(frame)
         longest = max(longest, read, key=len)
-    return ShutterWindow.of(longest) if len(longest) >= MIN_FRAMES else None
+    return longest
 
 
 def _repeats(before: Frame, frame: Frame) -> bool:
