@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from toolkit.threads import limit_waiting
+from toolkit.threads import allow_forks, limit_waiting
 
 __version__ = "0.1.0"
 
@@ -51,6 +51,7 @@ _MODULES = {
 }
 
 limit_waiting()
+allow_forks()
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""Threads of libraries: how those of OpenMP wait for each other, and how many BLAS uses."""
+"""Threads of libraries: those of OpenMP while they wait and at a fork, and how many BLAS uses."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import Any
 # as long, instead of 1.3 times; with 8,000 checks 2.3 times. With 500 checks or none, runs on an
 # idle machine take up to 15 % longer.
 _CHECKS = "2000"
+_PAUSE_SOFT = 1  # omp_pause_soft of OpenMP 5.0: threads end, settings remain
 # Packages that bring a BLAS of their own, besides NumPy's.
 _WITH_BLAS = ("cv2", "faiss", "scipy.linalg")
 
@@ -26,6 +27,30 @@ def limit_waiting() -> None:
     """
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ.setdefault("GOMP_SPINCOUNT", _CHECKS)
+
+
+def allow_forks() -> None:
+    """Let forked processes compute, also after this one has computed on several threads.
+
+    A forked process has one thread only, but GNU OpenMP would wait in it forever for the threads
+    of its parent. They end before a fork, and start again on their next use in either process.
+    """
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(before=_end_openmp_threads)
+
+
+def _end_openmp_threads() -> None:
+    """End the threads that GNU OpenMP keeps for the calling thread; other libraries handle forks.
+
+    Packages bring copies of the library, each with threads of its own.
+    """
+    if "torch" not in sys.modules:
+        return
+    from threadpoolctl import ThreadpoolController
+
+    for library in ThreadpoolController().lib_controllers:
+        if library.prefix == "libgomp":
+            library.dynlib.omp_pause_resource_all(_PAUSE_SOFT)
 
 
 @contextmanager
