@@ -135,7 +135,7 @@ def _plan(options: Options, path: Path) -> Path:
         "seeds": list(range(options.runs)),
         "resources": {"threads": 1, "memory_gb": 1.5},
     }
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path
 
 

@@ -39,7 +39,7 @@ def instruction_set() -> str:
 
 def _processor() -> str:
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return platform.processor() or "unknown processor"
     name = next((ln.split(":", 1)[1].strip() for ln in lines if ln.startswith("model name")), "")

@@ -330,7 +330,8 @@ def main(
         raise SystemExit(f"{dataset.path} has no true trajectory to compare with")
     frames = (source[index] for index in range(len(source)))
     run = run_rival(rival, frames, source.camera, depth_max_m)
-    out.write_text(json.dumps(asdict(evaluated(rival, run, source.ground_truth)), indent=2))
+    metrics = asdict(evaluated(rival, run, source.ground_truth))
+    out.write_text(json.dumps(metrics, indent=2), encoding="utf-8")
 
 
 if __name__ == "__main__":

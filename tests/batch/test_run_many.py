@@ -67,7 +67,7 @@ def test_a_killed_program_takes_its_run_with_it_and_resumes_it(night, rooms, tmp
 
 def is_running(pid: int) -> bool:
     try:
-        with open(f"/proc/{pid}/stat") as file:
+        with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
             return file.read().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False

@@ -24,7 +24,7 @@ def write_plan(path: Path, rooms: Path, *names: str, **more: object) -> Path:
     """Write a plan with one sequence per recording."""
     sequences = {n: {"dataset": {"kind": "synthetic", "path": str(rooms / n)}} for n in names}
     content = {"sequences": sequences, "settings": {"quick": {"options": OPTIONS}}, **more}
-    path.write_text(yaml.safe_dump(content, sort_keys=False))
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return path
 
 

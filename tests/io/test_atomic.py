@@ -1,5 +1,6 @@
 """Atomic replacement of files."""
 
+import os
 import resource
 import stat
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from toolkit.errors import RunFolderError
-from toolkit.io.atomic import replacing, write_bytes
+from toolkit.io.atomic import replacing, write_bytes, write_text
 from toolkit.io.meshes import TriangleMesh, write_mesh, write_points
 
 
@@ -27,6 +28,19 @@ def test_failed_write_preserves_the_old_file_and_removes_the_temporary_one(tmp_p
         interrupted()
     assert target.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [
+        (os.fsencode("größe").decode("ascii", "surrogateescape"), "größe"),  # in an ASCII locale
+        (b"gr\xf6\xdfe".decode("utf-8", "surrogateescape"), "gr\\xf6\\xdfe"),
+        ("ソファ", "ソファ"),
+    ],
+)
+def test_texts_with_names_that_the_locale_cannot_decode_are_utf8(tmp_path, name, written):
+    write_text(tmp_path / "page.html", name)
+    assert (tmp_path / "page.html").read_bytes() == written.encode()
 
 
 def test_finished_write_replaces_the_file_with_default_permissions(tmp_path):

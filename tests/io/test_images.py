@@ -1,5 +1,8 @@
 """Image round trips and errors for damaged files."""
 
+import os
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -135,6 +138,13 @@ def test_files_that_are_not_images_raise(tmp_path, content, message):
     (tmp_path / "c.png").write_bytes(content)
     with pytest.raises(DatasetError, match=message):
         images.read_rgb(tmp_path / "c.png")
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="macOS accepts names in UTF-8 only")
+def test_names_that_are_not_utf8(tmp_path, rgb, decoder):
+    path = tmp_path / os.fsdecode(b"gr\xf6\xdfe.png")
+    images.write_rgb(path, rgb)
+    assert images.read_rgb(path).shape == rgb.shape
 
 
 def test_error_names_the_missing_image(tmp_path):

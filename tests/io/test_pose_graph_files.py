@@ -29,7 +29,7 @@ def write_g2o(path: Path, graph: PoseGraphArrays) -> None:
     ):
         values = [*pose_values(T), *information[upper]]
         lines.append(f"EDGE_SE3:QUAT {first} {second} {numbers(values)}")
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def pose_values(T: np.ndarray) -> list[float]:

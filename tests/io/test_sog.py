@@ -133,14 +133,14 @@ def test_a_bundle_is_the_same_as_its_files(tmp_path, pixels):
 
 
 def changed(path: Path, **values: Any) -> None:
-    content = json.loads(path.read_text())
+    content = json.loads(path.read_text(encoding="utf-8"))
     for name, value in values.items():
         *parents, last = name.split("__")
         part = content
         for parent in parents:
             part = part[parent]
         part[last] = value
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(content), encoding="utf-8")
 
 
 @pytest.mark.parametrize(

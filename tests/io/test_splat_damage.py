@@ -185,7 +185,7 @@ def test_sog_members_are_not_unpacked_without_limit(tmp_path):
 
 def gltf(path: Path) -> dict:
     export_splats(path, ellipsoids(0))
-    return json.loads(path.read_text())
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def test_gltf_nodes_with_several_parents_do_not_multiply(tmp_path):

@@ -40,12 +40,12 @@ def json_value(*keys: str | int, value: Any) -> Corruption:
     """Set a value of a JSON file."""
 
     def apply(path: Path) -> None:
-        root = json.loads(path.read_text())
+        root = json.loads(path.read_text(encoding="utf-8"))
         place = root
         for key in keys[:-1]:
             place = place[key]
         place[keys[-1]] = value
-        path.write_text(json.dumps(root))
+        path.write_text(json.dumps(root), encoding="utf-8")
 
     return apply
 
@@ -54,12 +54,12 @@ def without_key(*keys: str | int) -> Corruption:
     """Remove a key of a JSON file."""
 
     def apply(path: Path) -> None:
-        root = json.loads(path.read_text())
+        root = json.loads(path.read_text(encoding="utf-8"))
         place = root
         for key in keys[:-1]:
             place = place[key]
         del place[keys[-1]]
-        path.write_text(json.dumps(root))
+        path.write_text(json.dumps(root), encoding="utf-8")
 
     return apply
 

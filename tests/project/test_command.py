@@ -1,6 +1,7 @@
 """`semsplat JOB`: dispatch, and one line for whatever a user can mend."""
 
 import errno
+import io
 import os
 import subprocess
 import sys
@@ -64,6 +65,10 @@ def test_a_job_gets_its_words_and_gives_its_status(monkeypatch):
             ModuleNotFoundError("No module named 'gtsam'", name="gtsam"),
             "the package 'gtsam' is missing; see: semsplat doctor",
         ),
+        (
+            UnicodeEncodeError("utf-8", "gr\udcf6", 2, 3, "surrogates not allowed"),
+            "a library needs names in UTF-8, not gr\\udcf6; set the locale: export LC_ALL=C.UTF-8",
+        ),
     ],
 )
 def test_what_a_user_can_mend_is_one_line(failing_job, capsys, error, line):
@@ -73,6 +78,21 @@ def test_what_a_user_can_mend_is_one_line(failing_job, capsys, error, line):
     assert printed.err.startswith(f"semsplat: error: {line}")
     assert printed.err.count("\n") == 1
     assert printed.out == ""
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
+def test_characters_that_an_output_lacks_are_escapes(monkeypatch, encoding):
+    output = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(output, encoding))
+    module = types.ModuleType("toolkit.cli.say")
+    module.main = lambda argv: print("Fußboden", "ソファ", "gr\udcf6") or 0
+    monkeypatch.setitem(sys.modules, "toolkit.cli.say", module)
+    monkeypatch.setitem(command.JOBS, "say", ("say", "prints names"))
+    assert main(["say"]) == 0
+    printed = output.getvalue().decode(encoding)
+    assert "Fußboden" in printed or (encoding == "ascii" and "Fu\\xdfboden" in printed)
+    assert "ソファ" in printed or (encoding != "utf-8" and "\\u30bd\\u30d5\\u30a1" in printed)
+    assert "gr\\udcf6" in printed
 
 
 def test_an_interrupt_is_status_130(failing_job, capsys):

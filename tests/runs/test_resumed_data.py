@@ -17,9 +17,9 @@ FRAMES = 3
 
 
 def replace_in(file: Path, old: str, new: str) -> None:
-    text = file.read_text()
+    text = file.read_text(encoding="utf-8")
     assert old in text
-    file.write_text(text.replace(old, new))
+    file.write_text(text.replace(old, new), encoding="utf-8")
 
 
 def remove(folder: Path, stem: str) -> None:

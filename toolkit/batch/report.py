@@ -12,7 +12,7 @@ import jinja2
 from toolkit.batch.table import RunRow, table_cells, table_csv, table_markdown
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.comparison import render_comparison
-from toolkit.io.atomic import write_bytes
+from toolkit.io.atomic import write_text
 from toolkit.runs.comparing import compared_run
 
 _log = logging.getLogger(__name__)
@@ -29,8 +29,8 @@ def write_batch_report(out: Path, title: str, rows: Sequence[RunRow]) -> Path:
         title: name of the plan.
         rows: of all runs.
     """
-    write_bytes(out / "table.csv", table_csv(rows).encode())
-    write_bytes(out / "table.md", table_markdown(rows).encode())
+    write_text(out / "table.csv", table_csv(rows))
+    write_text(out / "table.md", table_markdown(rows))
     pages = _write_comparisons(out, rows)
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = resources.files(__package__).joinpath("report_template.html").read_text("utf-8")
@@ -49,7 +49,7 @@ def write_batch_report(out: Path, title: str, rows: Sequence[RunRow]) -> Path:
         pages=pages,
     )
     report = out / "report.html"
-    write_bytes(report, text.encode())
+    write_text(report, text)
     return report
 
 
@@ -75,6 +75,6 @@ def _write_comparisons(out: Path, rows: Sequence[RunRow]) -> list[str]:
         except ToolkitError as error:
             _log.warning("There is no comparison of %s: %s.", name, error)
             continue
-        write_bytes(page, render_comparison(runs).encode())
+        write_text(page, render_comparison(runs))
         pages.append(page.name)
     return pages

@@ -15,7 +15,7 @@ from toolkit.exports.map_changes import changes_between, require_metres
 from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
-from toolkit.io.atomic import write_bytes
+from toolkit.io.atomic import utf8, write_text
 from toolkit.runs.comparing import compared_run
 from toolkit.runs.registering import relative_pose
 from toolkit.semantics.changes import MapChanges
@@ -37,7 +37,7 @@ def main(options: CompareOptions) -> int:
         for path, name in zip(options.runs, names, strict=True)
     ]
     found = None if options.objects is None else _compared_objects(options)
-    write_bytes(options.out, render_comparison(runs).encode())
+    write_text(options.out, render_comparison(runs))
     print(f"compared {len(runs)} runs, {len(setting_rows(runs))} settings differ: {options.out}")
     if options.objects is not None and found is not None:
         _write_changes(options, options.objects, *found)
@@ -67,7 +67,7 @@ def _write_changes(
         **found.values(),
     }
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    write_bytes(out, text.encode())
+    write_text(out, text)
     for change in found.changes:
         print(change)
     print(
@@ -78,7 +78,7 @@ def _write_changes(
 
 def unique_names(paths: Sequence[Path]) -> list[str]:
     """Return names of folders: as many of their last parts as are needed to differ."""
-    parts = [path.resolve().parts for path in paths]
+    parts = [Path(utf8(str(path.resolve())).decode()).parts for path in paths]
     longest = max(map(len, parts))
     for length in range(1, longest + 1):
         names = ["/".join(p[-length:]) for p in parts]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import logging
 import os
 import sys
@@ -32,8 +33,12 @@ _REMEDIES = {
 def one_line_errors(job: Callable[[], int]) -> int:
     """Run a job; report errors that the user can fix in one line and return the exit status.
 
-    Other exceptions are programming errors and propagate with their traceback.
+    Other exceptions are programming errors and propagate with their traceback. Characters that the
+    encoding of stdout or stderr lacks are printed as escapes.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         status = job()
         sys.stdout.flush()  # errors of flushing are caught here
@@ -63,6 +68,9 @@ def explain(error: Exception) -> str | None:
         return f"the package {error.name!r} is missing; see: semsplat doctor"
     if isinstance(error, OSError):
         return _explain_os_error(error)
+    if isinstance(error, UnicodeEncodeError) and _is_undecoded(error.object[error.start]):
+        name = _one_line(error.object)
+        return f"a library needs names in UTF-8, not {name}; set the locale: export LC_ALL=C.UTF-8"
     if isinstance(error, MemoryError) or _is_torch_memory_error(error):
         return "not enough memory; try a smaller --image-size or fewer frames (--max-frames)"
     return None
@@ -73,6 +81,11 @@ def _explain_os_error(error: OSError) -> str:
     where = f"{error.filename}: " if error.filename else ""
     remedy = _REMEDIES.get(error.errno or 0)
     return _one_line(f"{where}{reason}" + (f"; {remedy}" if remedy else ""))
+
+
+def _is_undecoded(character: str) -> bool:
+    """Whether a character stands for a byte of a file's name that the locale cannot decode."""
+    return "\udc80" <= character <= "\udcff"
 
 
 def _is_own_module(module: str | None) -> bool:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from toolkit.cli.programs import QueryProgram
 from toolkit.cli.similar_objects import ranking_lines, rankings
 from toolkit.errors import SettingsError
-from toolkit.io.atomic import write_bytes
+from toolkit.io.atomic import write_text
 from toolkit.io.images import write_png
 from toolkit.io.length_names import LengthNames
 from toolkit.io.meshes import write_mesh
@@ -66,7 +66,7 @@ def main(options: QueryProgram) -> int:
         write_png(options.picture, image)
         _log.info("Wrote the picture to %s.", options.picture)
     if options.summary:
-        write_bytes(options.summary, (_json(reader.summary()) + "\n").encode())
+        write_text(options.summary, _json(reader.summary(), ensure_ascii=False) + "\n")
         _log.info("Wrote the scene to %s.", options.summary)
     return 0
 
@@ -210,5 +210,6 @@ def _row(number: int, item: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _json(values: Any) -> str:
-    return json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False)
+def _json(values: Any, ensure_ascii: bool = True) -> str:
+    """JSON; in ASCII for stdout, whose encoding may lack characters."""
+    return json.dumps(values, indent=1, ensure_ascii=ensure_ascii, allow_nan=False)

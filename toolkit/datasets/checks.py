@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -292,6 +293,6 @@ def decoder_warning(path: Path) -> str:
         return ""
     with tempfile.TemporaryFile() as printed:
         with diverted([STDERR], printed.fileno()):
-            cv2.imread(str(path), cv2.IMREAD_COLOR)
+            cv2.imread(os.fsencode(path), cv2.IMREAD_COLOR)
         printed.seek(0)
         return printed.read().decode("utf-8", "replace").strip()

@@ -144,7 +144,7 @@ def peak_memory_mb() -> float:
     from which this one was forked.
     """
     if _STATUS.exists():
-        for line in _STATUS.read_text().splitlines():
+        for line in _STATUS.read_text(encoding="utf-8").splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024 / 1e6
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -155,7 +155,7 @@ def peak_memory_mb() -> float:
 def resident_memory_mb() -> float | None:
     """Return the present resident memory of this process in MB, None where it is unknown."""
     try:
-        pages = int(_STATM.read_text().split()[1])
+        pages = int(_STATM.read_text(encoding="utf-8").split()[1])
     except OSError:
         return None
     return pages * resource.getpagesize() / 1e6

@@ -176,7 +176,7 @@ def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
         DatasetError: there is ground truth, but no poses can be associated in time.
         RunFolderError: the file cannot be written.
     """
-    atomic.write_bytes(path, render_report(content).encode())
+    atomic.write_text(path, render_report(content))
 
 
 def render_report(content: ReportContent) -> str:

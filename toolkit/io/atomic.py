@@ -69,6 +69,24 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text file in UTF-8 atomically, see `utf8`.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    write_bytes(path, utf8(text))
+
+
+def utf8(text: str) -> bytes:
+    """Encode a text that may contain names of files.
+
+    Where the locale cannot decode a name, Python keeps its bytes as surrogates. They are written as
+    they are if they are UTF-8, and as escapes otherwise.
+    """
+    return text.encode(errors="surrogateescape").decode(errors="backslashreplace").encode()
+
+
 def _check_room(path: Path, more: int = 0) -> None:
     """Check that a file can grow, because some libraries truncate files silently on a full disk.
 

@@ -247,7 +247,7 @@ def _read_with_open3d(path: Path) -> NDArray:
 
 def _read_with_opencv(path: Path) -> NDArray:
     """Read the same pixels with OpenCV; an empty array if decoding fails."""
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = cv2.imread(os.fsencode(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         return np.empty((0, 0, 1), np.uint8)
     if image.ndim == 2:

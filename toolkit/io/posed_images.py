@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.io.atomic import write_bytes
+from toolkit.io.atomic import utf8, write_bytes, write_text
 
 # COLMAP's number and name of the camera model with parameters fx fy cx cy.
 _PINHOLE, _PINHOLE_NAME = 1, "PINHOLE"
@@ -80,7 +80,7 @@ def write_colmap_text(
         x, y, z = (repr(value) for value in point)
         lines.append(f"{number} {x} {y} {z} {rgb[0]} {rgb[1]} {rgb[2]} {_NO_ERROR}")
     for name, content in (("cameras", cameras), ("images", rows), ("points3D", lines)):
-        write_bytes(folder / f"{name}.txt", ("\n".join(content) + "\n").encode())
+        write_text(folder / f"{name}.txt", "\n".join(content) + "\n")
 
 
 def write_colmap_binary(
@@ -96,7 +96,7 @@ def write_colmap_binary(
     rows = [struct.pack("<Q", len(images))]
     for number, image in enumerate(images, start=1):
         rows.append(struct.pack("<I7dI", number, *_pose(image), _CAMERA_ID))
-        rows.append(image.name.encode() + b"\0" + struct.pack("<Q", 0))
+        rows.append(utf8(image.name) + b"\0" + struct.pack("<Q", 0))
     write_bytes(folder / "images.bin", b"".join(rows))
     parts = [struct.pack("<Q", len(points))]
     for number, (point, rgb) in enumerate(_point_rows(points), start=1):

@@ -85,7 +85,7 @@ class VideoFile:
             raise DatasetError(f"cannot read {self._path}: no such file; check the path")
         level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         try:
-            capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+            capture = cv2.VideoCapture(os.fsencode(self._path), cv2.CAP_FFMPEG)
         finally:
             cv2.utils.logging.setLogLevel(level)
         if not capture.isOpened():

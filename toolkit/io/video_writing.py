@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -68,7 +69,7 @@ def _opened(path: Path, size: tuple[int, int], fps: int) -> cv2.VideoWriter:
     try:
         for codec in _CODECS:
             fourcc = cv2.VideoWriter.fourcc(*codec)
-            writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, fps, size)
+            writer = cv2.VideoWriter(os.fsencode(path), cv2.CAP_FFMPEG, fourcc, fps, size)
             if writer.isOpened():
                 return writer
     finally:

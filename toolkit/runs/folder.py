@@ -273,7 +273,7 @@ class RunFolder:
         for name in _SLOTS:
             path = self.checkpoints / name
             try:
-                serial = json.loads((path / "metadata.json").read_text())["serial"]
+                serial = json.loads((path / "metadata.json").read_text(encoding="utf-8"))["serial"]
                 found.append((path, int(serial)))
             except FileNotFoundError:
                 continue

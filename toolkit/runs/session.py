@@ -138,7 +138,7 @@ class Session:
 @contextmanager
 def logged_to(path: Path) -> Iterator[None]:
     """Append the log of the toolkit to a file."""
-    handler = logging.FileHandler(path)
+    handler = logging.FileHandler(path, encoding="utf-8", errors="backslashreplace")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     logger = logging.getLogger("toolkit")
     logger.addHandler(handler)

@@ -6,6 +6,7 @@ Colour images are PNG files, because JPEG artefacts would limit the PSNR to abou
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -46,7 +47,7 @@ def prepare_folder(path: Path) -> None:
             _remove_images(folder / INSTANCES)
         _remove_images(path / WALKER)
         # Empty until the room is complete, so that an interrupted room can be recreated.
-        (path / MARKER).write_text("")
+        (path / MARKER).write_bytes(b"")
     except OSError as error:
         raise DatasetError(
             f"cannot write {path}: {error.strerror}; choose another folder"
@@ -149,7 +150,7 @@ def _made(folder: Path) -> Path:
 
 def _write_png(path: Path, image: NDArray) -> None:
     try:
-        written = cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        written = cv2.imwrite(os.fsencode(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     except cv2.error:
         written = False
     if not written:
@@ -162,7 +163,7 @@ def write_json(path: Path, content: dict) -> None:
 
 def _write_text(path: Path, text: str) -> None:
     try:
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise DatasetError(
             f"cannot write {path}: {error.strerror}; choose another folder"

@@ -8,7 +8,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 
-from toolkit.io.atomic import write_bytes
+from toolkit.io.atomic import utf8, write_bytes, write_text
 from toolkit.viewer.packing import PackedScene, pack
 from toolkit.viewer.scene import ViewerScene
 
@@ -39,7 +39,7 @@ def write_page(path: Path, scene: ViewerScene) -> int:
     Raises:
         RunFolderError: the file cannot be written.
     """
-    content = page(pack(scene)).encode()
+    content = utf8(page(pack(scene)))
     write_bytes(path, content)
     return len(content)
 
@@ -87,7 +87,7 @@ def link_from_report(page_path: Path, report: Path) -> bool:
     if title_end < 0:
         return False
     place = title_end + len("</h1>")
-    write_bytes(report, f"{text[:place]}\n{link}{text[place:]}".encode())
+    write_text(report, f"{text[:place]}\n{link}{text[place:]}")
     return True
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.io.atomic import utf8
 from toolkit.viewer.detail_tree import NODE_SIZE, ROOT_SIZE, DetailTree
 from toolkit.viewer.html import page
 from toolkit.viewer.packing import NO_NODE, pack, pack_chunk
@@ -71,7 +72,7 @@ class StreamedMap:
             "tallies": tallies(self.scene.splats),
             "highlight": self.highlight,
         }
-        return page(packed, "'self'").encode()
+        return utf8(page(packed, "'self'"))
 
 
 def _overview(means_m: NDArray[np.float32]) -> dict[str, list[float]]:

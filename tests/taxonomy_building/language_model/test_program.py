@@ -107,7 +107,7 @@ def test_bad_options_end_in_one_line(tmp_path, monkeypatch, fake, capsys, words,
     monkeypatch.chdir(tmp_path)
     for name in ("BASE_URL", "MODEL", "API_KEY"):
         monkeypatch.delenv(f"SEMSPLAT_LLM_{name}", raising=False)
-    Path("names.txt").write_text("\n".join(NAMES))
+    Path("names.txt").write_text("\n".join(NAMES), encoding="utf-8")
     given = [word.format(url=fake.url) for word in words]
     assert main(["build-taxonomy", "--classes", "names.txt", "--review", *MODEL, *given]) == 2
     printed = capsys.readouterr()
@@ -119,12 +119,12 @@ def test_bad_options_end_in_one_line(tmp_path, monkeypatch, fake, capsys, words,
 def test_a_replay_of_other_classes_is_an_error(tmp_path, monkeypatch, fake, capsys):
     monkeypatch.chdir(tmp_path)
     fake.behaviours = [says("{}")]
-    Path("names.txt").write_text("\n".join(NAMES))
+    Path("names.txt").write_text("\n".join(NAMES), encoding="utf-8")
     words = ["build-taxonomy", "--classes", "names.txt", "--review", *MODEL]
     source = ["--base-url", fake.url, "--model", "m", "--record", "record.json"]
     assert main([*words, *source]) == 0
     assert main([*words, "--replay", "record.json"]) == 0
-    Path("names.txt").write_text("\n".join(NAMES[1:]))
+    Path("names.txt").write_text("\n".join(NAMES[1:]), encoding="utf-8")
     capsys.readouterr()
     assert main([*words, "--replay", "record.json"]) == 2
     assert "record.json has no answer" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -117,7 +118,7 @@ def read_map(file: Path, png_scale: float) -> Image:
         elif suffix == ".exr":
             values = read_exr(file, "depth-priors")
         else:
-            values = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            values = cv2.imread(os.fsencode(file), cv2.IMREAD_UNCHANGED)
     except (OSError, ValueError, EOFError) as error:
         raise DatasetError(f"depth map {file} is unreadable ({error}); write it again") from error
     if values is None:
