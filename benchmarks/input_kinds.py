@@ -22,7 +22,7 @@ from toolkit.synthetic_rooms import tiny_room
 
 Array = NDArray[np.float64]
 
-FRAMES, WIDTH, HEIGHT = 16, 160, 120
+FRAMES, WIDTH, HEIGHT = 40, 160, 120
 _SCALE, _FPS = 5000.0, 30.0
 UTM_M = np.array([388096.0, 3948996.0, 57.0])
 
@@ -187,6 +187,44 @@ def _with_far_value(depth: NDArray, index: int) -> NDArray:
     return np.where(holes.repeat(8, 0).repeat(8, 1), 65535, depth)
 
 
+def _with_camera(**factors: float) -> Callable[[Path], None]:
+    """States intrinsics that are a factor of the true ones."""
+
+    def change(folder: Path) -> None:
+        file = folder / "intrinsics.yaml"
+        values = yaml.safe_load(file.read_text())
+        values |= {name: factor * values[name] for name, factor in factors.items()}
+        file.write_text(yaml.safe_dump(values))
+
+    return change
+
+
+def _bent(k1: float) -> RoomChange:
+    """Images of a lens with radial distortion that is not stated."""
+    focal = tiny_room(1, WIDTH, HEIGHT)[0][0].camera.focal
+    centre = np.array([WIDTH - 1, HEIGHT - 1]) / 2.0
+    grid = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1)
+    bent = (grid - centre) / focal
+    seen = bent
+    for _ in range(10):
+        seen = bent / (1.0 + k1 * (seen**2).sum(axis=-1, keepdims=True))
+    axes = np.moveaxis((focal * seen + centre).astype(np.float32), 2, 0)
+
+    def warped(image: NDArray, kind: int) -> NDArray:
+        return np.asarray(cv2.remap(image, *axes, kind, borderMode=cv2.BORDER_REPLICATE))
+
+    return RoomChange(
+        depth=lambda depth, _: warped(depth, cv2.INTER_NEAREST),
+        rgb=lambda rgb, _: warped(rgb, cv2.INTER_LINEAR),
+    )
+
+
+def _with_a_jump(folder: Path) -> None:
+    poses = np.array(tiny_room(FRAMES, WIDTH, HEIGHT)[1].T_world_camera)
+    poses[FRAMES // 2 :, 0, 3] += 0.1
+    write_tum(folder / "trajectory.txt", Trajectory(np.arange(FRAMES) / _FPS, poses))
+
+
 def _translated(T: Array) -> Array:
     moved = np.array(T)
     moved[:3, 3] += UTM_M
@@ -218,6 +256,18 @@ KINDS: Mapping[str, Kind] = {
     ),
     "given poses in UTM": Kind("a good map", RoomChange(pose=_translated), job=_GIVEN),
     "colour shifted by (-8, +4) px": Kind("the run reports it", RoomChange(depth=_shifted)),
+    "focal length 20 % too long": Kind("names the right one", after=_with_camera(fx=1.2, fy=1.2)),
+    "focal length 20 % too long, refined": Kind(
+        "a good map",
+        after=_with_camera(fx=1.2, fy=1.2),
+        job=(*_RUN, "--dataset.intrinsics", "refine"),
+    ),
+    "principal point off by 12 px": Kind("names the right one", after=_with_camera(cx=1.15)),
+    "distortion k1 = -0.2, not stated": Kind("names it", _bent(-0.2)),
+    "unit of depth off by 25 %": Kind(
+        "names the factor", RoomChange(depth=lambda depth, _: 1.25 * depth)
+    ),
+    "given poses jump by 10 cm": Kind("names the frame", after=_with_a_jump, job=_GIVEN),
     "times in nanoseconds": Kind("stops, names the unit", after=_with_times_in_nanoseconds),
     "a scene at 6 cm": Kind("a good map", RoomChange(scale=1 / 25)),
     "a scene at 90 m": Kind("a good map", RoomChange(scale=60.0)),

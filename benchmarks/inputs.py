@@ -1,6 +1,6 @@
 """Recordings as people have them: what an earlier commit and this one make of each kind.
 
-    python -m benchmarks.inputs [--commit dbd490e]
+    python -m benchmarks.inputs [--commit 1a8233b1]
 
 Every input is made on the spot (`input_kinds`). The earlier commit is compiled in a temporary
 folder.
@@ -38,7 +38,7 @@ _MAX_MESSAGE = 160
 class Options(ReportOptions):
     """Give recordings of every kind to an earlier commit and to this one."""
 
-    commit: str = "dbd490e"
+    commit: str = "1a8233b1"
     """The earlier commit."""
 
 
@@ -95,7 +95,15 @@ def _map_line(metrics: Mapping[str, Any], kind: Kind, log: str) -> str:
     ate = "" if ate_cm is None else f", ATE {ate_cm / kind.scale:.2f} cm"
     lost = metrics["frames.lost"] + (metrics.get("frames.doubtful") or 0)
     psnr = "no view" if psnr_db is None else f"{psnr_db:.1f} dB"
-    words = ("not agree", "shifted relative", "contradict", "count as missing", "interpolated")
+    words = (
+        "agree",
+        "shifted relative",
+        "contradict",
+        "count as missing",
+        "interpolated",
+        "jump",
+        "refined",
+    )
     reported = ", reported" if any(word in log for word in words) else ""
     return f"{psnr}{ate}, {lost} lost or doubtful{reported}"
 
