@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.cli.map_programs import EditOptions
-from toolkit.io.atomic import cannot_write, write_bytes
+from toolkit.io.atomic import cannot_write, write_text
 from toolkit.io.images import write_png
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import write_splat_ply
@@ -42,7 +42,7 @@ def main(options: EditOptions) -> int:
         labelled.map.taxonomy.save(options.out / TAXONOMY)
         views = _write_views(options, labelled, edited, renders)
         report = {"metric": labelled.run.metric, **_report(edited, views)}
-        write_bytes(options.out / "edit.json", (json.dumps(report, indent=1) + "\n").encode())
+        write_text(options.out / "edit.json", json.dumps(report, indent=1) + "\n")
     for line in _lines(report, labelled.run.length_names):
         print(line)
     print(f"wrote map.ply, {TAXONOMY}, edit.json and {len(views)} view(s) to {options.out}")

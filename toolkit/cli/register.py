@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from toolkit.cli.programs import RegisterOptions
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
-from toolkit.io.atomic import cannot_write, write_bytes
+from toolkit.io.atomic import cannot_write, write_bytes, write_text
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
 from toolkit.loops.two_maps import (
@@ -66,7 +66,7 @@ def main(options: RegisterOptions) -> int:
     write_bytes(options.out / "trajectory_a.txt", a.folder.trajectory.read_bytes())
     write_tum(options.out / "trajectory_b.txt", b.folder.read_trajectory().transformed(T_a_b))
     text = json.dumps(report, indent=1, allow_nan=False) + "\n"
-    write_bytes(options.out / "register.json", text.encode())
+    write_text(options.out / "register.json", text)
     print(f"wrote {len(merged.gaussians)} Gaussians to {options.out / 'map.ply'}")
     return 0
 

@@ -266,7 +266,7 @@ def write_metrics(path: str | os.PathLike[str], metrics: Metrics) -> None:
         RunFolderError: the file cannot be written.
     """
     text = json.dumps(_finite(metrics), indent=2, sort_keys=True, allow_nan=False)
-    atomic.write_bytes(path, (text + "\n").encode())
+    atomic.write_text(path, text + "\n")
 
 
 def _finite(value: Any) -> Any:

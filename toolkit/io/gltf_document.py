@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.geometry import se3
-from toolkit.io.atomic import write_bytes
+from toolkit.io.atomic import write_bytes, write_text
 
 _MAGIC, _VERSION, _JSON, _BINARY = b"glTF", 2, b"JSON", b"BIN\0"
 _HEADER = 12
@@ -199,7 +199,7 @@ def write_document(path: Path, tree: dict[str, Any], binary: bytes) -> None:
     if path.suffix == ".gltf":
         uri = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
         tree = {**tree, "buffers": [{"byteLength": len(binary), "uri": uri}]}
-        write_bytes(path, json.dumps(tree, ensure_ascii=False).encode())
+        write_text(path, json.dumps(tree, ensure_ascii=False))
         return
     text = json.dumps(tree, ensure_ascii=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from toolkit.io.atomic import write_bytes
+from toolkit.io.atomic import write_bytes, write_text
 
 # Grey values that map_saver writes for the three states of a cell. map_server turns a value v into
 # the probability (255 - v) / 255 and compares it with the thresholds below.
@@ -104,4 +104,4 @@ def write_occupancy_grid(
         "T_grid_map": grid.T_grid_map.tolist(),
         "map_origin_m": np.zeros(3).tolist() if map_origin_m is None else map_origin_m.tolist(),
     }
-    write_bytes(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None).encode())
+    write_text(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None))

@@ -133,7 +133,7 @@ def write_transforms(
             for image in images
         ],
     }
-    write_bytes(file, (json.dumps(content, indent=1) + "\n").encode())
+    write_text(file, json.dumps(content, indent=1) + "\n")
 
 
 def _parameters(camera: Camera) -> tuple[float, float, float, float]:

@@ -13,7 +13,7 @@ import yaml
 from toolkit.errors import RunFolderError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
-from toolkit.io.atomic import cannot_write, write_bytes
+from toolkit.io.atomic import cannot_write, write_text
 from toolkit.io.images import write_depth_png, write_rgb
 
 # Frames that wait for the disk, at most; more would fill the memory.
@@ -44,7 +44,7 @@ class FrameWriter:
         except OSError as error:
             raise cannot_write(folder, error) from error
         values = {**asdict(camera), "depth_scale": float(depth_scale), "fps": float(fps)}
-        write_bytes(folder / "intrinsics.yaml", yaml.safe_dump(values, sort_keys=False).encode())
+        write_text(folder / "intrinsics.yaml", yaml.safe_dump(values, sort_keys=False))
 
     def write(self, frame: Frame) -> None:
         """Write a frame under its index; waits only if many frames are not written yet.

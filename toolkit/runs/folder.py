@@ -30,7 +30,7 @@ from toolkit.errors import FormatError, RunFolderError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
-from toolkit.io.atomic import cannot_write, write_bytes
+from toolkit.io.atomic import cannot_write, write_text
 from toolkit.io.covariances import write_covariances
 from toolkit.io.object_embeddings import OBJECTS
 from toolkit.io.splat_labels import INSTANCE, SplatLabels
@@ -113,7 +113,7 @@ class RunFolder:
         except OSError as error:
             raise cannot_write(path, error) from error
         folder.loops.touch()
-        write_bytes(folder.config, config.encode())
+        write_text(folder.config, config)
         return folder
 
     @classmethod
@@ -364,7 +364,7 @@ class RunFolder:
 
     def write_json(self, path: Path, content: dict[str, Any]) -> None:
         """Write a JSON file of this folder atomically."""
-        write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+        write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 @dataclass(frozen=True)

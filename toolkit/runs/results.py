@@ -41,7 +41,7 @@ from toolkit.evaluation.timing import StageRecorder
 from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
-from toolkit.io.atomic import write_bytes
+from toolkit.io.atomic import write_bytes, write_text
 from toolkit.io.graphs import graph_bytes
 from toolkit.io.images import write_rgb
 from toolkit.io.length_names import LengthNames
@@ -142,7 +142,7 @@ def write_results(
     frames |= {"metric": names.metric, **origins}
     if pace is not None:
         frames["dropped"] = result.dropped_frames
-        write_bytes(folder.delays, pace.csv().encode())
+        write_text(folder.delays, pace.csv())
     folder.write_json(folder.frames, frames)
     # Measured before the evaluation, whose memory does not count.
     costs = _costs(result, scene, dataset, record)

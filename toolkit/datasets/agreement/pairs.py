@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.prefetch import read_ahead
 from toolkit.datasets.shutter.alignment import MovingView, RelativePose, ShutterTimes, align
 from toolkit.datasets.shutter.levels import ShutterLevel, shutter_levels
 from toolkit.errors import ToolkitError
@@ -52,13 +53,10 @@ def aligned_pairs(dataset: RecordedDataset) -> list[FramePair]:
     small = _small(dataset)
     last = max(len(dataset) - 1 - max(_GAPS), 0)
     anchors = np.unique(np.linspace(0, last, _ANCHORS).astype(int)).tolist()
-    with ThreadPoolExecutor(1) as reader:  # reads later frames while earlier ones are aligned
-        read = reader.map(lambda anchor: _read(small, anchor, _GAPS), anchors)
-        return [
-            pair
-            for anchor, levels in zip(anchors, read, strict=True)
-            for pair in _later(anchor, _GAPS, levels)
-        ]
+    # Frames are read while those before are aligned.
+    read = read_ahead(lambda anchor: _read(small, anchor, _GAPS), anchors, ahead=1)
+    found = (_later(n, _GAPS, levels) for n, levels in zip(anchors, read, strict=True))
+    return list(itertools.chain.from_iterable(found))
 
 
 def aligned_pair(dataset: RecordedDataset, index: int) -> FramePair | None:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from toolkit.datasets.agreement.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from toolkit.datasets.agreement.pairs import aligned_pairs
 from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.geometry.camera import Camera
 
 # Pairs of frames are aligned again with intrinsics that are far from the stated ones.
 _ROUNDS = 3
@@ -46,9 +45,12 @@ def _applied(found: IntrinsicsEstimate, recording: Recording) -> Recording:
 def _note(stated: Recording, refined: Recording) -> str:
     if refined.camera == stated.camera:
         return "the stated intrinsics agree with depth and colour, and are used"
-    camera, k1 = refined.camera, (refined.distortion or np.zeros(1))[0]
+    (k1, *_) = refined.distortion or (0.0,)
     return (
-        f"the intrinsics are refined: fx={camera.fx:.1f} fy={camera.fy:.1f} cx={camera.cx:.1f} "
-        f"cy={camera.cy:.1f} k1={k1:.3f} (stated: fx={stated.camera.fx:.1f} "
-        f"fy={stated.camera.fy:.1f} cx={stated.camera.cx:.1f} cy={stated.camera.cy:.1f})"
+        f"the intrinsics are refined: {_in_words(refined.camera)} k1={k1:.3f} "
+        f"(stated: {_in_words(stated.camera)})"
     )
+
+
+def _in_words(camera: Camera) -> str:
+    return f"fx={camera.fx:.1f} fy={camera.fy:.1f} cx={camera.cx:.1f} cy={camera.cy:.1f}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.jackknife import jackknife_sigmas
+from toolkit.datasets.prefetch import read_ahead
 from toolkit.datasets.shutter.alignment import ShutterTimes, TimeEquations
 from toolkit.datasets.shutter.windows import MIN_FRAMES, ShutterWindow
 from toolkit.errors import ToolkitError
@@ -155,9 +155,9 @@ def _window_starts(times_s: Array) -> list[int]:
 
 def _windows(frames: TimedFrames, starts: Sequence[int]) -> list[ShutterWindow]:
     """The windows from some frames on that can be read and aligned."""
-    with ThreadPoolExecutor(1) as reader:  # reads later windows while earlier ones are aligned
-        read = reader.map(lambda start: _readable(frames, start), starts)
-        found = [ShutterWindow.of(own) for own in read if len(own) >= MIN_FRAMES]
+    # A window is read while the one before is aligned.
+    read = read_ahead(lambda start: _readable(frames, start), starts, ahead=1)
+    found = [ShutterWindow.of(own) for own in read if len(own) >= MIN_FRAMES]
     return [window for window in found if window is not None]
 
 
