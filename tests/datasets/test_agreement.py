@@ -9,7 +9,7 @@ from moving_room import CAMERA, pose, write_recording
 
 from toolkit.datasets import checks
 from toolkit.datasets.agreement.findings import contradictions
-from toolkit.datasets.agreement.given_poses import sudden_steps
+from toolkit.datasets.agreement.given_poses import PoseAgreement, judge_given, sudden_steps
 from toolkit.datasets.agreement.pairs import aligned_pair, aligned_pairs
 from toolkit.datasets.agreement.refine import with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset
@@ -95,6 +95,17 @@ def test_a_delay_of_poses_is_named(box, frames, tmp_path):
     option = float(re.search(r"--dataset.pose-delay (\S+)$", line)[1])
     assert option == pytest.approx(delay_s, abs=0.3 / FPS)
     assert found(box, ground_truth=late.delayed(delay_s)) == []
+
+
+def test_pairs_that_are_aligned_by_a_period_off_are_no_delay_and_no_unit(box):
+    pairs = aligned_pairs(RecordedDataset(box))
+    longest = np.argsort([np.linalg.norm(p.pose.T_second_first[:3, 3]) for p in pairs])
+    for number in longest[-len(pairs) // 5 :]:
+        wrong = pairs[number].pose.T_second_first.copy()
+        wrong[:3, 3] *= 3.0
+        off = replace(pairs[number].pose, T_second_first=wrong)
+        pairs[number] = replace(pairs[number], pose=off)
+    assert judge_given(pairs, TIMES_S, box.ground_truth) == PoseAgreement()
 
 
 @pytest.mark.parametrize("poses", ["slam", "given"])

@@ -200,13 +200,17 @@ def _certain_factor(own: Sequence[_Motion], pose_at: PoseAt, delay_s: float) -> 
 
 
 def _factor(seen: Array, stated: Array) -> float:
-    """Factor of translations [N, 3] that agrees with others, without the pairs that disagree."""
-    kept = np.ones(len(seen), np.bool_)
-    factor = 1.0
+    """Factor of translations [N, 3] that agrees with others, without the pairs that disagree.
+
+    Where a texture repeats, a pair may be aligned by a period off, and longest translations are the
+    wrong ones. Least squares alone would follow them.
+    """
+    products, squares = (seen * stated).sum(axis=1), np.maximum((seen**2).sum(axis=1), 1e-12)
+    factor = float(np.median(products / squares))
     for _ in range(3):
-        factor = float((seen[kept] * stated[kept]).sum() / max((seen[kept] ** 2).sum(), 1e-12))
         errors = np.linalg.norm(factor * seen - stated, axis=1)
         kept = errors <= np.quantile(errors, _TRUSTED)
+        factor = float(products[kept].sum() / squares[kept].sum())
     return factor
 
 
