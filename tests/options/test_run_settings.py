@@ -71,6 +71,6 @@ def test_every_option_is_described_by_a_complete_phrase():
 
 def test_a_run_has_few_options_of_short_names():
     keys = [option.key for option in nested_options(RunProgram)]
-    # The last one, dataset.ignore_carrier: a camera on rails may pass what looks like its carrier.
+    # The last one, dataset.intrinsics: whoever trusts a calibration does not want another one.
     assert len(keys) <= 209
     assert [key for key in keys if key.count(".") > 2] == []

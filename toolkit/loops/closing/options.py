@@ -23,8 +23,6 @@ class PairOptions:
     # The directions of correct pairs of real and synthetic sequences differ by 0.1 to 1.2 cm.
     max_disagreement_m: PositiveFloat = 0.02
     """Maximum difference of the two directions of alignment, in metres."""
-    max_disagreement_rad: PositiveFloat = 0.01
-    """Maximum difference of the two directions of alignment, in radians."""
     min_visible: Fraction = 0.35
     """Minimum fraction of a keyframe's image that the other one explains, in the better of the two
     directions."""

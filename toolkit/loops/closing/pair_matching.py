@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 # Minimum number of feature matches that agree with one motion. Fewer than for registration: the
 # directions of alignment check each other.
 _MIN_MATCHES = 8
+# Maximum difference of the rotations of the two directions of alignment.
+_MAX_DISAGREEMENT_RAD = 0.01
 # Minimum normalised correlation of the aligned images: the median over textured blocks, in the
 # worse of the two directions. Correct pairs have 0.7 to 0.99.
 _MIN_CORRELATION = 0.65
@@ -123,7 +125,7 @@ class PairMatcher:
         options = self._options
         difference = se3.log(forward.T_first_second @ backward.T_first_second)
         metres, radians = np.linalg.norm(difference[:3]), np.linalg.norm(difference[3:])
-        if metres > options.max_disagreement_m or radians > options.max_disagreement_rad:
+        if metres > options.max_disagreement_m or radians > _MAX_DISAGREEMENT_RAD:
             degrees = np.degrees(radians)
             return f"the directions differ by {100 * metres:.1f} cm and {degrees:.1f} degrees"
         visible = max(forward.visible, backward.visible)
