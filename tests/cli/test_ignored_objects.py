@@ -14,8 +14,11 @@ from test_semantic_runs import error_of
 from tiny_models import save_clip
 
 from toolkit.cli.main import main
+from toolkit.evaluation.metrics import read_metrics
 from toolkit.io.images import read_labels, write_png
 from toolkit.io.splats import read_splats
+from toolkit.runs.evaluation import evaluate
+from toolkit.runs.finished import load_run
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.synthetic_rooms import RoomSettings, make_room
 from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
@@ -120,6 +123,12 @@ def test_masks_are_ignored_without_labels_too(room, masks, tmp_path):
     assert main(run(room, out, masks, "robot", "--segmenter.kind", "none")) == 0
     objects = json.loads((out / "objects.json").read_text())["objects"]
     assert len(objects) > 3 and "robot" not in {one["class"] for one in objects}
+    metrics = read_metrics(out / "metrics.json")
+    again = evaluate(load_run(out))
+    assert again["images"]["mapped"]["psnr_db"] == pytest.approx(
+        metrics["images"]["mapped"]["psnr_db"], abs=0.01
+    )
+    assert metrics["images"]["mapped"]["psnr_db"] > 30.0
 
 
 def test_masks_are_ignored_by_any_text_with_their_encoder(room, embedded, clip, tmp_path):

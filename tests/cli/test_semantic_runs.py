@@ -13,7 +13,7 @@ import torch
 from test_finished_run_programs import one_line_of_error
 
 from toolkit.cli.main import main
-from toolkit.evaluation.metrics import flattened
+from toolkit.evaluation.metrics import flattened, read_metrics
 from toolkit.io.splats import read_splats
 from toolkit.mapping import semantic_mapping
 from toolkit.semantics.taxonomy import Taxonomy
@@ -223,6 +223,13 @@ def test_ignored_classes_are_not_mapped(run, labelled_recording, tmp_path, word)
     assert (before == floor).sum() > 100
     assert (after == floor).sum() == 0
     assert len(after) < len(before)
+    # Nor are they compared with the map.
+    whole, rest = (read_metrics(r / "metrics.json") for r in (run, out))
+    psnr_db, without_floor_db = (m["images"]["mapped"]["psnr_db"] for m in (whole, rest))
+    assert without_floor_db > psnr_db - 1.0
+    scores, others = whole["semantics"]["mapped"], rest["semantics"]["mapped"]
+    assert others["classes"] == scores["classes"] - 1
+    assert others["miou_with_void_percent"] > scores["miou_with_void_percent"] - 2.0
 
 
 def test_a_map_without_semantics_has_no_labels_to_render(labelled_recording, tmp_path, capsys):

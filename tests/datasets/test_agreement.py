@@ -10,13 +10,16 @@ from moving_room import CAMERA, pose, write_recording
 from toolkit.datasets import checks
 from toolkit.datasets.agreement.findings import contradictions
 from toolkit.datasets.agreement.given_poses import PoseAgreement, judge_given, sudden_steps
+from toolkit.datasets.agreement.labels import label_finding
 from toolkit.datasets.agreement.pairs import aligned_pair, aligned_pairs
 from toolkit.datasets.agreement.refine import with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
 from toolkit.errors import SettingsError
+from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.trajectories import write_tum
+from toolkit.mapping.consensus import connected_segments
 from toolkit.options import validated
 from toolkit.runs import modes
 from toolkit.runs.modes import mode_of
@@ -177,3 +180,50 @@ def test_late_poses_are_used_with_the_delay(box, tmp_path):
         assert np.allclose(T, pose(time_s), atol=1e-4)
     with pytest.raises(SettingsError, match=r"--dataset.pose-delay 9 leaves no poses of late"):
         opened(9.0)
+
+
+def patches(level, index):
+    """Class ids [H, W] of patches of the walls."""
+    T_world_camera = pose(TIMES_S[index])
+    points = se3.transform_points(T_world_camera, level.points.reshape(-1, 3).astype(np.float64))
+    x, y, z = np.floor(points / 0.9 + 0.1).astype(int).T + 4
+    return (1 + x % 3 + 3 * (y % 3) + 9 * (z % 3)).reshape(level.points.shape[:2]).astype(np.int32)
+
+
+def permuted(labels, index):
+    return np.append(0, 1 + np.random.default_rng(index).permutation(27)).astype(np.int32)[labels]
+
+
+def numbered_from_the_left(labels, index):
+    ids, places = np.unique(labels.T, return_index=True)
+    numbers = np.zeros(28, np.int32)
+    numbers[ids[np.argsort(places)]] = np.arange(1, len(ids) + 1)
+    return numbers[labels]
+
+
+def partly_wrong(labels, index):
+    generator = np.random.default_rng(index)
+    segments, own = connected_segments(labels)
+    wrong = np.where(generator.random(len(own)) < 0.2, generator.integers(1, 28, len(own)), own)
+    return wrong[segments].astype(np.int32)
+
+
+def label_line(pairs, change):
+    named = []
+    for pair in pairs:
+        a, b = (
+            change(patches(level, index), index)
+            for level, index in zip(pair.levels, (pair.first, pair.second), strict=True)
+        )
+        named.append(replace(pair, labels=(a, b)))
+    return label_finding(named)
+
+
+def test_ids_that_change_between_frames_are_named(box):
+    pairs = aligned_pairs(RecordedDataset(box))
+    assert label_finding(pairs) is None  # without labels
+    assert label_line(pairs, lambda labels, _: labels) is None
+    assert label_line(pairs, partly_wrong) is None
+    share = int(re.search(r"\((\d+)% of", label_line(pairs, permuted))[1])
+    assert share == pytest.approx(96, abs=3)
+    assert "--instances.kind folder" in label_line(pairs, numbered_from_the_left)

@@ -11,8 +11,11 @@ import pytest
 from toolkit.errors import FormatError
 from toolkit.evaluation.frame_costs import peak_memory_mb
 from toolkit.evaluation.metrics import (
+    Metrics,
     RunCosts,
     ViewQuality,
+    ate_frames,
+    ate_warnings,
     cost_metrics,
     depth_metrics,
     flattened,
@@ -61,6 +64,21 @@ def test_drift_of_a_monocular_path_is_measured_at_its_fitted_scale() -> None:
     assert metrics["scale"] == pytest.approx(2.0)
     assert metrics["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-9)
     assert metrics["rpe_translation_cm"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_an_error_of_few_frames_says_so() -> None:
+    path = straight_path(0.1)
+    few = Trajectory(path.timestamps_s[:3], path.T_world_camera[:3])
+
+    def of(pairs: Trajectory, frames: int) -> Metrics:
+        return {"trajectory": trajectory_metrics(pairs, path), "frames": {"total": frames}}
+
+    (line,) = ate_warnings(of(few, 20))
+    assert "ATE 0.00 cm" in line and "over 3 of 20 frames" in line
+    assert ate_warnings(of(few, 6)) == []
+    assert ate_frames(flattened(of(few, 6))) == "over 3 of 6 frames"
+    assert ate_frames(flattened(of(path, 20))) == ""
+    assert ate_warnings({"trajectory": trajectory_metrics(few, None), "frames": {"total": 9}}) == []
 
 
 def test_without_a_truth_errors_are_null_under_the_same_keys() -> None:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from toolkit.cli.programs import EvaluateOptions
 from toolkit.errors import FormatError
 from toolkit.evaluation.frame_states import part_lines
 from toolkit.evaluation.metrics import (
     Metrics,
+    ate_frames,
+    ate_warnings,
     flattened,
     read_metrics,
     truth_lines,
@@ -77,8 +81,9 @@ def main(options: EvaluateOptions) -> int:
     values = flattened(metrics)
     with_mesh = "mesh" in new_metrics
     for key in _PRINTED + _PRINTED_MESH * with_mesh + _PRINTED_SUBSET * evaluation.subset:
-        print(f"{key:<42}{_format(values.get(key))}")
-    for line in (*truth_lines(new_metrics["trajectory"]), *part_lines(run.states, run.parts)):
+        print(f"{key:<42}{_format(values.get(key))}{_share(key, values)}")
+    judged = *ate_warnings(metrics), *truth_lines(new_metrics["trajectory"])
+    for line in (*judged, *part_lines(run.states, run.parts)):
         print(line)
     for key, value in values.items():
         if key.startswith("parts.part_"):
@@ -114,6 +119,12 @@ def _earlier_metrics(run: FinishedRun) -> Metrics:
     except FormatError as error:
         _log.warning("Earlier metrics are not kept: %s.", error)
         return {}
+
+
+def _share(key: str, values: Mapping[str, Any]) -> str:
+    """Of how many frames the trajectory error is, if not of all."""
+    frames = ate_frames(values) if key == "trajectory.ate_rmse_cm" else ""
+    return f" {frames}" if frames else ""
 
 
 def _format(value: float | int | str | None) -> str:

@@ -16,6 +16,7 @@ from toolkit.batch.process import RunOutcome
 from toolkit.batch.state import checkpoint_frame, run_state
 from toolkit.batch.table import RunRow, run_row
 from toolkit.cli.batch_programs import RunManyOptions
+from toolkit.evaluation.metrics import ate_frames
 
 _FAILED = 1
 # Seconds between reports of progress, on a terminal and in a log, and the number of runs in them.
@@ -147,9 +148,9 @@ def _summary(run: PlannedRun, outcome: RunOutcome) -> str:
     metrics = run_row(run, "", 1).metrics
     parts = [f"finished in {outcome.time_s:.0f} s"]
     for key, text in (
-        ("trajectory.ate_rmse_cm", "ATE {:.2f} cm"),
+        ("trajectory.ate_rmse_cm", "ATE {:.2f} cm {frames}"),
         ("images.mapped.psnr_db", "PSNR {:.1f} dB"),
     ):
         if metrics.get(key) is not None:
-            parts.append(text.format(metrics[key]))
+            parts.append(text.format(metrics[key], frames=ate_frames(metrics)).strip())
     return ", ".join(parts)

@@ -204,6 +204,30 @@ def truth_lines(metrics: Metrics) -> list[str]:
     return lines
 
 
+def ate_frames(values: Mapping[str, Any]) -> str:
+    """Text like "over 3 of 40 frames", if the ATE is that of a part of the frames; else empty.
+
+    Args:
+        values: metrics by dotted keys.
+    """
+    pairs, frames = values.get("trajectory.ate_pairs"), values.get("frames.total")
+    if pairs is None or frames is None or pairs >= frames:
+        return ""
+    return f"over {pairs} of {frames} frames"
+
+
+def ate_warnings(metrics: Metrics) -> list[str]:
+    """A line about an ATE of less than half of the frames; none if it is that of more."""
+    values = flattened(metrics)
+    text = ate_frames(values)
+    if not text or 2 * values["trajectory.ate_pairs"] >= values["frames.total"]:
+        return []
+    return [
+        f"The trajectory error (ATE {values['trajectory.ate_rmse_cm']:.2f} cm) is measured {text} "
+        f"only: the others have no pose in the main part of the map, or no true pose."
+    ]
+
+
 def image_metrics(views: Sequence[ViewQuality]) -> Metrics:
     """Compute means over a group of views; None without views."""
     names = (

@@ -19,7 +19,7 @@ from toolkit.evaluation.charts import Axes, Series, line_chart
 from toolkit.evaluation.frame_costs import FrameCosts, memory_chart, time_chart
 from toolkit.evaluation.frame_states import FrameState, ranges
 from toolkit.evaluation.loop_gallery import LoopPicture
-from toolkit.evaluation.metrics import Metrics, MetricValue, flattened
+from toolkit.evaluation.metrics import Metrics, MetricValue, ate_frames, flattened
 from toolkit.evaluation.submap_graph import SubmapGraph, submap_graph_chart
 from toolkit.evaluation.timing import StageTime
 from toolkit.evaluation.trajectory import (
@@ -219,6 +219,7 @@ def _headlines(metrics: Mapping[str, MetricValue]) -> list[dict[str, str]]:
             headlines.append({"title": title, "value": f"{value:,.{digits}f}", "unit": unit})
         else:
             headlines.append({"title": title, "value": "n/a", "unit": ""})
+    headlines[0]["unit"] = f"{headlines[0]['unit']} {ate_frames(metrics)}".strip()
     doubtful = metrics.get("frames.doubtful")
     if isinstance(doubtful, int) and doubtful > 0:
         headlines[-1]["unit"] = f"and {doubtful:,} doubtful"

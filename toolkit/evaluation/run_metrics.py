@@ -160,6 +160,8 @@ def measure_run(
     scale = 1.0 if alignment is None else alignment.scale
 
     def measure(group: str, view: EvaluatedView) -> None:
+        if view.frame.ignored is not None and view.frame.ignored.all():
+            return  # nothing can be compared
         qualities[group].append(_quality(scene, view, options, scores[group], scale))
 
     for view in _tracked_views(mapped, tracked, dataset, options.max_views):

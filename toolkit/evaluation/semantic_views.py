@@ -75,9 +75,19 @@ class SemanticScores:
         truth = self._truth(frame.labels)
         decoding = self._evaluation.semantics.decode_view(rendered)
         nodes = decoding.nodes.T.reshape(-1, *truth.shape)
-        self._segmentation.add(truth, nodes, self._subset(truth, rendered))
-        predicted = decoding.class_ids.reshape(truth.shape)
-        self.calibration.add(truth, predicted, decoding.confidence.reshape(truth.shape))
+        subset, predicted = self._subset(truth, rendered), decoding.class_ids.reshape(truth.shape)
+        confidence = decoding.confidence.reshape(truth.shape)
+        if frame.ignored is not None:
+            # As an image of one row.
+            kept = ~frame.ignored
+            truth, predicted, confidence = (
+                truth[kept][None],
+                predicted[kept][None],
+                confidence[kept][None],
+            )
+            nodes, subset = nodes[:, kept][:, None], None if subset is None else subset[kept][None]
+        self._segmentation.add(truth, nodes, subset)
+        self.calibration.add(truth, predicted, confidence)
 
     def metrics(self) -> Metrics:
         """Return the metrics by name; empty without semantics or labelled views."""

@@ -209,7 +209,8 @@ def _execute(
         checkpoints.save(system, len(frames))
         checkpoints.wait()
         result = session.finish(hooks.progress)
-        write_results(result, frames, folder, settings, RunRecord(recorder, costs.costs(), summary))
+        record = RunRecord(recorder, costs.costs(), summary, sources=slam.sources)
+        write_results(result, frames, folder, settings, record)
         session.close_results()
     if source.writer is not None and not options.save_frames:
         source.writer.remove()

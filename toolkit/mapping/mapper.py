@@ -16,12 +16,12 @@ from torch import Tensor
 from toolkit.features.builtin import BuiltinEncoder
 from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Frame, NullRecorder, Recorder
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud, LowPass
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
-from toolkit.mapping.consensus import label_consensus
+from toolkit.mapping.consensus import LabelAgreement, label_consensus
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.densification import Densification
 from toolkit.mapping.depth_fusion import fuse_depth
@@ -87,6 +87,7 @@ class Mapper:
         exposures: estimates those of keyframes.
         densification: adds and removes Gaussians.
         deferred: steps that wait for `take_deferred_step`; None if they are taken at once.
+        label_agreement: of the keyframes of all refined submaps.
     """
 
     def __init__(  # noqa: PLR0913 - everything that the parts of mapping share
@@ -105,6 +106,7 @@ class Mapper:
         self.device = torch.device(device)
         self._keyframe_choice: KeyframeChoice = self.options.keyframes
         self.deferred: DeferredSteps | None = None
+        self.label_agreement = LabelAgreement()
         self.exposures = KeyframeExposures(self.options.white_balance, gains)
         self._generator = generator or np.random.default_rng(0)
         self._backend = backend(backend_name)
@@ -276,6 +278,7 @@ class Mapper:
         submap: Submap,
         T_map_cameras: NDArray[np.float64] | None = None,
         steps: Iterator[int] | None = None,
+        low_pass: LowPass = PIXEL_FILTER,
     ) -> None:
         """Refine a submap over all its keyframes, at the end of a run; see `final_optimisation.py`.
 
@@ -283,6 +286,7 @@ class Mapper:
             T_map_cameras: [P, 4, 4] poses of all frames, in front of which space is cleared; only
                 those of the keyframes if absent.
             steps: is advanced once per optimisation step, for a progress bar.
+            low_pass: of new ellipsoids.
         """
         if T_map_cameras is None:
             T_map_cameras = np.array([k.T_map_camera for k in submap.keyframes])
@@ -290,13 +294,15 @@ class Mapper:
             self.exposures.adjust(submap.keyframes)
         if self.semantics.channels and self.options.consensus.use:
             with self._recorder.timed(Stage.MAP_CONSENSUS):
-                submap.gaussians = label_consensus(
+                consensus = label_consensus(
                     submap.gaussians,
                     submap.keyframes,
                     self.semantics,
                     partial(self.render, features=True),
                     self.options.consensus.rounds,
                 )
+            submap.gaussians = consensus.gaussians
+            self.label_agreement += consensus.agreement
             submap.optimiser.reset("features")
         self._clear_free_space(submap, T_map_cameras)
         if self.options.fill_holes:
@@ -307,7 +313,7 @@ class Mapper:
         merge &= submap.gaussians.ellipsoids is None
         if merge:
             classes = self.semantics.classes_of(submap.gaussians.features)
-            to_ellipsoids(submap, classes, self.options.final_harmonics)
+            to_ellipsoids(submap, classes, self.options.final_harmonics, low_pass)
         refine(submap, self._optimisation, self.options, self._generator, steps, merge)
         support = self._clear_free_space(submap, T_map_cameras)
         if self.options.final_iterations:

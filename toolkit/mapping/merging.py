@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
+from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud, LowPass
 from toolkit.gaussians.ellipsoids import Ellipsoids, quaternions
 from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.submaps.optimiser_state import OptimiserState
@@ -38,18 +38,21 @@ _IN_PLANE = 1.15
 _MAX_NUMBER = 2**62
 
 
-def to_ellipsoids(submap: Submap, classes: Tensor, degree: int) -> None:
+def to_ellipsoids(
+    submap: Submap, classes: Tensor, degree: int, low_pass: LowPass = PIXEL_FILTER
+) -> None:
     """Merge the spheres of a submap; its optimiser starts again.
 
     Args:
         classes: [N] class ids, which are kept apart.
         degree: highest degree of the harmonics, which start at zero.
+        low_pass: of the ellipsoids.
     """
     cloud = submap.gaussians
     if not len(cloud):
         return
     patches = _patches(cloud, _patch_sizes(submap), classes.cpu().numpy())
-    merged, heaviest = _merged(cloud, patches, degree)
+    merged, heaviest = _merged(cloud, patches, degree, low_pass)
     submap.gaussians = merged
     submap.seeded_by = submap.seeded_by.index_select(0, heaviest)
     steps = submap.optimiser.steps.index_select(0, heaviest)
@@ -104,7 +107,7 @@ def _is_mixed(cells: NDArray[np.int64], classes: NDArray) -> NDArray[np.bool_]:
 
 
 def _merged(
-    cloud: GaussianCloud, patches: NDArray[np.int64], degree: int
+    cloud: GaussianCloud, patches: NDArray[np.int64], degree: int, low_pass: LowPass
 ) -> tuple[GaussianCloud, Tensor]:
     """Return one ellipsoid for each patch, and the index [M] of its heaviest sphere."""
     weights = (cloud.opacities * cloud.radii_m**2).cpu().double().numpy() + 1e-12
@@ -133,7 +136,7 @@ def _merged(
         cloud.features.new_zeros(len(total), 0) if features is None else features,
         ellipsoids=Ellipsoids(log_scales, _tensor(quaternions(axes), cloud), harmonics),
         centred_colours=cloud.centred_colours,
-        low_pass=PIXEL_FILTER,
+        low_pass=low_pass,
     )
     order = np.lexsort((-weights, patches))
     first = np.searchsorted(patches[order], np.arange(len(total)))

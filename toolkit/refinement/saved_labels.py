@@ -37,8 +37,8 @@ def label_saved(atlas: Atlas, mapper: Mapper, parts: Sequence[Part]) -> None:
             keyframes = list(_voting(atlas, own, number))
             cloud = submap.gaussians.to(mapper.device)
             render = partial(mapper.render, features=True)
-            labelled = label_consensus(cloud, keyframes, mapper.semantics, render, rounds=0)
-            atlas.put(replace(submap, gaussians=labelled.to("cpu")))
+            found = label_consensus(cloud, keyframes, mapper.semantics, render, rounds=0)
+            atlas.put(replace(submap, gaussians=found.gaussians.to("cpu")))
 
 
 def _voting(atlas: Atlas, numbers: Sequence[int], number: int) -> Iterator[Keyframe]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.gaussians.cloud import PIXEL_FILTER, LowPass
 from toolkit.geometry import se3
 from toolkit.mapping.final_optimisation import step_count
 from toolkit.mapping.mapper import Mapper
@@ -32,18 +33,29 @@ def refine_submaps(
         progress: follows the optimisation steps.
     """
     own = [number for number in atlas.readable() if number >= atlas.saved]
+    low_pass = _low_pass(atlas)
     total = sum(step_count(mapper.options, len(atlas.keyframe_poses(number))) for number in own)
     steps = iter(progress(range(total)))
     if len(atlas) == 1:
         # The active submap still has its optimiser state.
         T_map_cameras = se3.inverse(atlas.T_world_submap(0)) @ T_world_cameras_of(0)
-        mapper.refine(atlas.current, T_map_cameras, steps)
+        mapper.refine(atlas.current, T_map_cameras, steps, low_pass)
         atlas.store_active()
     else:
         atlas.store_active()
         for number in own:
             submap = atlas.submap(number).to(mapper.device)
             T_map_cameras = se3.inverse(submap.T_world_submap) @ T_world_cameras_of(number)
-            mapper.refine(submap, T_map_cameras, steps)
+            mapper.refine(submap, T_map_cameras, steps, low_pass)
             atlas.put(submap.to("cpu"))
     next(steps, None)  # completes the progress bar
+
+
+def _low_pass(atlas: Atlas) -> LowPass:
+    """The filter of new ellipsoids: that of a loaded map, with which they are rendered."""
+    for number in range(atlas.saved):
+        if number not in atlas.unreadable:
+            cloud = atlas.submap(number).gaussians
+            if cloud.ellipsoids is not None:
+                return cloud.low_pass
+    return PIXEL_FILTER

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,16 +56,11 @@ def build_slam(
     reuse_freed_memory()
     settings = settings or RunSettings()
     recorder = recorder or StageRecorder()
-    unmatched: dict[str, FormatError] = {}
-    labeller = build_run_labeller(settings, dataset, unmatched)
+    labels = _build_labels(settings, dataset)
+    labeller, instances = labels.labeller, labels.instances
     taxonomy = labeller.taxonomy if labeller else None
     code = build_code(settings.semantics.code, taxonomy) if taxonomy else None
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
-    names = None if taxonomy is None else dict(enumerate(taxonomy.classes, start=1))
-    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
-    continues = settings.map is not None
-    ignored = _ignored_texts(settings, labeller, unmatched)
-    instances = build_instances(settings.instances, names, stems, continues, ignored)
     front_end = mode_of(settings).front_end(
         FrontEndParts(
             settings,
@@ -91,7 +86,7 @@ def build_slam(
     )
     submaps = folder.submaps if folder else None
     atlas = build_atlas(settings.submaps, mapper.first_submap(), labeller, submaps)
-    sources = _frame_sources(settings, labeller, instances)
+    sources = _frame_sources(settings, labels)
     # A dataset ignores what moves with the camera itself.
     watches = dataset is None and settings.dataset.ignore_carrier
     sources = replace(sources, watches_carrier=watches)
@@ -142,9 +137,36 @@ def build_run_labeller(
     return build_labeller(settings.semantics, settings.segmenter, names, stems, unmatched)
 
 
-def _frame_sources(
-    settings: RunSettings, labeller: Labeller | None, instances: InstanceTracker | None
-) -> FrameSources:
+@dataclass(frozen=True)
+class _Labels:
+    """What labels the frames of a run, and what tracks its objects; None without."""
+
+    labeller: Labeller | None
+    instances: InstanceTracker | None
+
+
+def _build_labels(settings: RunSettings, dataset: Dataset | None) -> _Labels:
+    unmatched: dict[str, FormatError] = {}
+    labeller = build_run_labeller(settings, dataset, unmatched)
+    names = None if labeller is None else dict(enumerate(labeller.taxonomy.classes, start=1))
+    stems = dataset.stems if isinstance(dataset, RecordedDataset) else None
+    continues = settings.map is not None
+    ignored = _ignored_texts(settings, labeller, unmatched)
+    instances = build_instances(settings.instances, names, stems, continues, ignored)
+    return _Labels(labeller, instances)
+
+
+def build_frame_sources(settings: RunSettings, dataset: Dataset) -> FrameSources:
+    """Build what frames of a dataset are prepared with.
+
+    Raises:
+        ToolkitError: the settings require labels or masks that are not available.
+    """
+    return _frame_sources(settings, _build_labels(settings, dataset))
+
+
+def _frame_sources(settings: RunSettings, labels: _Labels) -> FrameSources:
+    labeller, instances = labels.labeller, labels.instances
     masks = None if instances is None else instances.source
     if not isinstance(masks, IgnoredMasks):
         return FrameSources(labeller, settings.denoise)

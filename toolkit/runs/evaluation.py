@@ -28,12 +28,15 @@ from toolkit.evaluation.semantic_views import SemanticEvaluation
 from toolkit.gaussians.scene import GaussianScene, InMemoryScene
 from toolkit.loops.log import read_loop_log
 from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.runs.building import build_frame_sources
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.meshing import MeshOptions, surface_mesh
 from toolkit.runs.modes import mode_of
 from toolkit.runs.separate_parts import separate_part_metrics
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.frame_preparation import FrameSources
+from toolkit.slam.ignored_frames import FramesWithoutIgnored
 
 # The mesh that is compared with the true one: voxels in metres, maximum depth in metres, and the
 # maximum number of fused views.
@@ -73,7 +76,8 @@ def evaluate(
     settings = replace(run.settings, dataset=location, evaluation=evaluation)
     semantics = semantic_evaluation(run.semantics, run.taxonomy, dataset, evaluation.subset)
     scene = InMemoryScene(run.gaussians)
-    metrics = evaluate_scene(scene, run.tracked, dataset, settings, semantics, max_views)
+    compared = compared_frames(dataset, settings)
+    metrics = evaluate_scene(scene, run.tracked, compared, settings, semantics, max_views)
     metrics["frames"] = frame_metrics(run.states, run.parts, len(run.keyframes))
     separate = separate_part_metrics(
         run.separate_trajectories(), dataset.ground_truth, mode_of(settings).alignment
@@ -122,6 +126,22 @@ def semantic_evaluation(
     return SemanticEvaluation(semantics, taxonomy, names, subset)
 
 
+def compared_frames(
+    dataset: Dataset, settings: RunSettings, sources: FrameSources | None = None
+) -> Dataset:
+    """The frames that views of a map are compared with, without what the run ignores.
+
+    Args:
+        sources: of the run, which find it; built from the settings by default.
+
+    Raises:
+        ToolkitError: labels or masks of the settings are missing.
+    """
+    if not settings.semantics.ignore:
+        return dataset
+    return FramesWithoutIgnored(dataset, sources or build_frame_sources(settings, dataset))
+
+
 def evaluate_scene(
     scene: GaussianScene,
     tracked: Sequence[TrackedFrame],
@@ -133,7 +153,7 @@ def evaluate_scene(
     """Evaluate the map and trajectory of a run with the options of its settings.
 
     Args:
-        scene, tracked, dataset: as in `measure_run`.
+        scene, tracked, dataset: as in `measure_run`; see `compared_frames`.
         settings: settings of the run, with the current path of the dataset.
         semantics: evaluation of the map's labels, or None.
         max_views: maximum number of evaluated views in each group.
@@ -145,6 +165,8 @@ def evaluate_scene(
     """
     path = settings.dataset.path
     unseen = open_unseen(settings.dataset.kind, path, settings.image_size) if path else None
+    if unseen is not None and isinstance(dataset, FramesWithoutIgnored):
+        unseen = dataset.beside(unseen)
     lpips = load_lpips(settings)
     options = MeasureOptions(
         settings.backend,

@@ -152,7 +152,9 @@ def _execute(
         prior = None
         if provider is not None:
             prior = DepthPriorUse(provider.model, inferred_fraction(slam.atlas), source.correction)
-        record = RunRecord(recorder, costs.costs(), pace, source.motion, prior, findings)
+        record = RunRecord(
+            recorder, costs.costs(), pace, source.motion, prior, findings, slam.sources
+        )
         write_results(result, dataset, folder, settings, record)
         session.close_results()
 

@@ -25,6 +25,7 @@ from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.metrics import (
     Metrics,
     RunCosts,
+    ate_warnings,
     cost_metrics,
     truth_lines,
     write_metrics,
@@ -46,12 +47,14 @@ from toolkit.io.graphs import graph_bytes
 from toolkit.io.images import write_rgb
 from toolkit.io.length_names import LengthNames
 from toolkit.io.visualisation import view_strip
+from toolkit.mapping.consensus import LabelAgreement
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.monocular.motion import CameraMotion
 from toolkit.pacing.delays import DelaySummary
 from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.runs.depth_prior_use import DepthPriorUse
 from toolkit.runs.evaluation import (
+    compared_frames,
     evaluate_loops,
     evaluate_scene,
     semantic_evaluation,
@@ -73,6 +76,7 @@ from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import FLOOR_NAMES
 from toolkit.semantics.storey_rooms import graph_frame
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.frame_preparation import FrameSources
 from toolkit.slam.result import SlamResult
 from toolkit.stages import Stage
 
@@ -101,6 +105,7 @@ class RunRecord:
         motion: motion of the camera that a run without depth starts from, None for other runs.
         prior: depth priors of the run, None without them.
         findings: a line for each defect of the recording that a few of its frames show.
+        sources: find what is ignored in a frame; built again from the settings if None.
     """
 
     recorder: StageRecorder
@@ -109,6 +114,7 @@ class RunRecord:
     motion: CameraMotion | None = None
     prior: DepthPriorUse | None = None
     findings: tuple[str, ...] = ()
+    sources: FrameSources | None = None
 
 
 def write_results(
@@ -136,7 +142,6 @@ def write_results(
         write_scene_graph(folder, result.scene_graph, names.metric, origins)
     write_separate_parts(result, folder, settings)
     states, parts = frame_states(result), part_summaries(result)
-    summary = [*record.findings, *summary_lines(states, parts), *names.notes]
     frames = frame_records(result, tracked, states, parts)
     frames["camera"] = asdict(dataset.camera)
     frames |= {"metric": names.metric, **origins}
@@ -147,20 +152,24 @@ def write_results(
     # Measured before the evaluation, whose memory does not count.
     costs = _costs(result, scene, dataset, record)
     _log.info("Evaluating the run.")
+    compared = compared_frames(dataset, settings, record.sources)
     semantics = semantic_evaluation(
         result.semantics, result.taxonomy, dataset, settings.evaluation.subset
     )
-    metrics = cost_metrics(costs) | evaluate_scene(scene, tracked, dataset, settings, semantics)
+    metrics = cost_metrics(costs) | evaluate_scene(scene, tracked, compared, settings, semantics)
     metrics["frames"] = frame_metrics(states, parts, len(result.keyframe_indices))
     separate = {result.parts.index(p.submaps): p.frames.trajectory for p in result.other_parts}
     apart = separate_part_metrics(separate, dataset.ground_truth, mode_of(settings).alignment)
     metrics["parts"] = {"count": len(parts), **apart}
     metrics |= evaluate_loops(folder.loops, dataset, settings)
-    metrics |= _mode_metrics(record)
-    summary.extend(truth_lines(metrics["trajectory"]))
+    metrics |= _mode_metrics(record) | _label_metrics(result.label_agreement)
     write_metrics(folder.metrics, metrics)
+    summary = [
+        *(*record.findings, *summary_lines(states, parts), *ate_warnings(metrics)),
+        *(*truth_lines(metrics["trajectory"]), *result.label_agreement.findings, *names.notes),
+    ]
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
-    views = _render_views(final, tracked, dataset, folder, names)
+    views = _render_views(final, tracked, compared, folder, names)
     report = _report(result, dataset, settings, metrics, views, recorder)
     if pace is not None:
         report = replace(report, delays=_delay_series(pace))
@@ -240,6 +249,16 @@ def _mode_metrics(record: RunRecord) -> Metrics:
     if record.prior is not None:
         metrics["depth_prior"] = record.prior.metrics()
     return metrics
+
+
+def _label_metrics(agreement: LabelAgreement) -> Metrics:
+    """The group "labels", of runs whose keyframes vote for the labels of the map."""
+    share = agreement.changed_share
+    if share is None:
+        return {}
+    _log.info("The votes of keyframes changed %.1f %% of their labelled pixels.", 100.0 * share)
+    convention = "of the labelled pixels of surfaces that at least three keyframes show"
+    return {"labels": {"changed_by_votes_percent": 100.0 * share, "convention": convention}}
 
 
 def write_motion_alone(motion: CameraMotion, folder: RunFolder) -> None:
@@ -326,7 +345,7 @@ def _render_views(
             picture = palette.level_strip(colour, list(nodes), legend_rows=_LEGEND_ROWS)
             write_rgb(folder.renders / f"{name}_levels.png", picture.astype(np.float32) / 255.0)
         title = f"frame {view.index}" + (", unseen" if view.held_out else "")
-        score = psnr_db(colour, frame.rgb)
+        score = psnr_db(colour, frame.rgb, frame.ignored)
         views.append(ReportView(title, frame.rgb, colour, frame.depth_m, depth_m, score, levels))
     return views
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Protocol
@@ -63,6 +64,12 @@ class Labeller:
     def ignored_classes(self) -> list[str]:
         """Names of the classes to exclude."""
         return [self.taxonomy.classes[i - 1] for i in np.flatnonzero(self._ignored)]
+
+    def without_masks(self) -> Labeller:
+        """A labeller of frames without masks, for which only labels say what is ignored."""
+        other = copy.copy(self)
+        other.others = None
+        return other
 
     def label(self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None) -> Frame:
         """Return the frame with labels of the taxonomy and without depth at ignored pixels.

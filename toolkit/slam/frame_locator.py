@@ -43,7 +43,7 @@ class FrameLocator:
                 return Located(None, not_tracked("it is held out, and the map has not started"))
             first = self._tracker.first_pose(frame)
             unusable = not_tracked(
-                "the map cannot start with it: no pose, black, or too little depth"
+                "the map cannot start with it: no pose, blank, or too little depth"
             )
             return Located(first, None if first is not None else unusable)
         with self._recorder.timed(Stage.TRACKING):

@@ -46,6 +46,7 @@ class FramePreparation:
     """Prepares frames before they are tracked, before they may be mapped, and as keyframes.
 
     Attributes:
+        sources: what frames are prepared with.
         labeller: segments frames; None for a map without semantics.
         correction: aligns depth priors with the map; None if depth is measured.
     """
@@ -61,7 +62,8 @@ class FramePreparation:
     ) -> None:
         self._mapper, self._atlas, self._path = mapper, atlas, path
         self._recorder = recorder
-        self.labeller, self.correction = sources.labeller, front_end.correction
+        self.sources, self.labeller = sources, sources.labeller
+        self.correction = front_end.correction
         self._start_velocity = front_end.start_velocity
         tracker = front_end.tracker
         # Predicts the poses at which priors are aligned before frames are tracked with them.
@@ -70,7 +72,6 @@ class FramePreparation:
             assert isinstance(tracker, MovingTracker), "a trajectory needs no depth"
             self._predicting = tracker
         self._filter = DepthFilter() if sources.denoise else None
-        self._ignored = sources.ignored
         labeller, tracks_labels = sources.labeller, tracker.wants_labels
         # All frames are labelled before they are tracked, not only keyframes.
         self._labels_first = labeller is not None and (labeller.every_frame or tracks_labels)
@@ -156,11 +157,11 @@ class FramePreparation:
 
     def _without_ignored(self, frame: Frame) -> Frame:
         """A frame without depth where a run without labels ignores something."""
-        if self._ignored is None:
+        if self.sources.ignored is None:
             return frame
         nothing = np.zeros(frame.depth_m.shape, bool)
         with self._recorder.timed(Stage.LABELLING):
-            return without_pixels(frame, self._ignored.pixels(frame, nothing))
+            return without_pixels(frame, self.sources.ignored.pixels(frame, nothing))
 
     def _denoised(self, frame: Frame, measured: bool = True) -> Frame:
         if self._filter is None:

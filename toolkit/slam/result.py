@@ -17,6 +17,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.instances.result import InstanceMap
 from toolkit.loops.pose_graph.graph import PoseEdge
+from toolkit.mapping.consensus import LabelAgreement
 from toolkit.mapping.mapper import MappingResult
 from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.refinement.fusion import FusedMap
@@ -237,6 +238,8 @@ class SlamResult:
         taxonomy: the classes of the map, None for a map without semantics.
         covariances: [M, 6, 6] of x in T_world_camera exp(x), x = (translation m, rotation rad);
             None before `finish` and without loop closure.
+        label_agreement: of the labels of keyframes with the map; without comparisons before
+            `finish`, and without semantics.
         dropped_frames: indices of the frames that were not processed. They have the pose of the
             frame before, or are lost as well.
     """
@@ -262,6 +265,7 @@ class SlamResult:
     units_per_metre: float = 1.0
     instances: InstanceMap | None = field(default=None, repr=False)
     scene_graph: dict[str, Any] | None = field(default=None, repr=False)
+    label_agreement: LabelAgreement = field(default_factory=LabelAgreement)
 
     @property
     def gaussians(self) -> GaussianCloud:

@@ -47,7 +47,7 @@ from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.threads import single_threaded_blas
 from toolkit.tracking.evidence import shows_much_unmapped
-from toolkit.tracking.health import has_depth, is_black
+from toolkit.tracking.health import has_depth, is_blank
 from toolkit.tracking.moving import MovingTracker
 from toolkit.tracking.result import TrackingResult, at_pose_of_last, exposure_of, not_tracked
 from toolkit.tracking.tracker import LocatingTracker
@@ -211,7 +211,7 @@ class Slam:
             return FrameResult(frame.index, None, tracking)
 
         mapping = None
-        may_map &= not located.doubtful and not is_black(frame)
+        may_map &= not located.doubtful and not is_blank(frame)
         if may_map:
             frame = self._preparation.for_mapping(frame, T_map_camera)
         if may_map and self._wants(frame, T_map_camera, tracking):
@@ -344,6 +344,11 @@ class Slam:
         return self.result()
 
     @property
+    def sources(self) -> FrameSources:
+        """What frames are prepared with."""
+        return self._preparation.sources
+
+    @property
     def taxonomy(self) -> Taxonomy | None:
         """The classes of the map; None without semantics."""
         labeller = self._preparation.labeller
@@ -355,7 +360,8 @@ class Slam:
         found = collected(self.atlas, self._path, self._closer, maps, semantics, self.taxonomy)
         found = self.unit.result_in_metres(replace(found, instances=self._instance_map))
         graph = None if self._scene is None or not self._fused else self._scene.content()
-        return replace(found, scene_graph=graph)
+        agreement = self.mapper.label_agreement
+        return replace(found, scene_graph=graph, label_agreement=agreement)
 
     def store_in_metres(self) -> None:
         """Convert the stored submaps of a finished run; nothing may be processed afterwards."""

@@ -16,8 +16,8 @@ _log = logging.getLogger(__name__)
 # frame starts with larger errors.
 _RELAXATION = 1.25
 # Intensity (0-1) that the noise of a covered sensor does not reach, and the share of pixels that do
-# in the darkest image that shows anything.
-_DARK, _MIN_BRIGHT = 0.05, 0.005
+# in the darkest image that shows anything. Overexposed images are as far from white.
+_NOISE, _MIN_SHOWN = 0.05, 0.005
 # Colours are at most 1; this is far beyond what interpolation adds, and below those of 8 bits.
 _MAX_COLOUR = 2.0
 
@@ -31,18 +31,22 @@ def may_start_map(limits: HealthLimits, frame: Frame) -> bool:
         reason = f"its colours reach {frame.rgb.max():.4g}, but must be between 0 and 1"
     elif measured < limits.min_measured:
         reason = f"only {measured} pixels have depth"
-    elif is_black(frame):
-        reason = "its colour image is black"
+    elif is_blank(frame):
+        reason = "its colour image is blank (black, white or saturated everywhere)"
     else:
         return True
     _log.warning("Frame %d cannot start the map: %s.", frame.index, reason)
     return False
 
 
-def is_black(frame: Frame) -> bool:
-    """Whether a colour image shows nothing, as under a lens cap or before the first exposure."""
-    bright = frame.rgb[::4, ::4] > _DARK
-    return bool(bright.any(axis=-1).mean() < _MIN_BRIGHT)
+def is_blank(frame: Frame) -> bool:
+    """Whether a colour image shows nothing: all channels are 0 or saturated everywhere.
+
+    Such are images under a lens cap, before the first exposure, or towards a lamp.
+    """
+    colours = frame.rgb[::4, ::4].reshape(-1, 3)
+    shown = np.abs(colours - np.median(colours, axis=0).round()) > _NOISE
+    return bool(shown.any(axis=-1).mean() < _MIN_SHOWN)
 
 
 def has_depth(frame: Frame) -> bool:

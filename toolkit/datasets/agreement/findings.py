@@ -6,12 +6,14 @@ import numpy as np
 
 from toolkit.datasets.agreement.given_poses import judge_given, sudden_steps
 from toolkit.datasets.agreement.intrinsics import estimate_intrinsics
+from toolkit.datasets.agreement.labels import label_finding
 from toolkit.datasets.agreement.pairs import FramePair, aligned_pair, aligned_pairs
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.pairing import listed
 
 _SAME_TIME_S = 1e-3
-# Fewer frames have too few pairs that begin at different ones.
+# Fewer frames have too few pairs that begin at different ones; their labels are compared all the
+# same.
 _MIN_FRAMES = 24
 
 
@@ -21,12 +23,17 @@ def contradictions(dataset: RecordedDataset) -> list[str]:
     With wrong intrinsics, the images do not tell more. Poses whose convention is wrong must not be
     among the statements (`pose_convention`).
     """
-    if dataset.files(0).depth is None or len(dataset) < _MIN_FRAMES:
+    enough = len(dataset) >= _MIN_FRAMES
+    if dataset.files(0).depth is None or not (enough or dataset.label_names):
         return []
     pairs = aligned_pairs(dataset)
+    labels = label_finding(pairs)
+    lines = [labels] if labels else []
+    if not enough:
+        return lines
     intrinsics = estimate_intrinsics(pairs)
     wrong = None if intrinsics is None else intrinsics.finding(dataset.camera)
-    return [wrong] if wrong else _pose_contradictions(dataset, pairs)
+    return [*lines, *([wrong] if wrong else _pose_contradictions(dataset, pairs))]
 
 
 def _pose_contradictions(dataset: RecordedDataset, pairs: list[FramePair]) -> list[str]:
