@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 import toolkit
 from toolkit.cli.main import main
@@ -38,6 +40,16 @@ def test_an_unknown_name_is_an_attribute_error():
         toolkit.build_slamm  # noqa: B018 - the access is what raises
 
 
+@pytest.fixture(params=[torch.float32, torch.float64], ids=["float32", "float64"])
+def default_dtype(request) -> Iterator[None]:
+    """The dtype of new tensors that a program has chosen."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(request.param)
+    yield
+    torch.set_default_dtype(before)
+
+
+@pytest.mark.usefixtures("default_dtype")
 def test_the_readme_example_gives_the_same_result_as_semsplat_run(
     tiny_recording, tiny_run, tmp_path, monkeypatch
 ):

@@ -6,7 +6,6 @@ from dataclasses import replace
 from types import ModuleType
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from toolkit.alignment.data import (
@@ -36,7 +35,7 @@ class NativeAlignment:
     def intensity(self, images: Tensor, min_silhouette: float) -> Tensor:
         """See AlignmentBackend."""
         height, width = images.shape[-2:]
-        intensity = torch.empty(height, width)
+        intensity = images.new_empty(height, width)
         self._module.align_intensity(
             (width, height), address(images), min_silhouette, address(intensity)
         )
@@ -45,7 +44,7 @@ class NativeAlignment:
     def halve(self, level: FrameLevel, max_difference: float) -> FrameLevel:
         """See AlignmentBackend."""
         camera = level.camera.halved()
-        intensity, depth_m = (torch.empty(camera.height, camera.width) for _ in range(2))
+        intensity, depth_m = (level.depth_m.new_empty(camera.size[::-1]) for _ in range(2))
         self._module.align_halve(
             level.camera.size,
             address(level.intensity),
@@ -59,7 +58,7 @@ class NativeAlignment:
     def model(self, level: FrameLevel) -> ModelLevel:
         """See AlignmentBackend."""
         camera = level.camera
-        texture, surface = (torch.empty(camera.height, camera.width, 4) for _ in range(2))
+        texture, surface = (level.depth_m.new_empty(*camera.size[::-1], 4) for _ in range(2))
         self._module.align_level(
             _intrinsics(camera),
             camera.size,

@@ -147,7 +147,7 @@ class Lpips:
 
 
 def _channels(values: Sequence[float]) -> Tensor:
-    return torch.tensor(values).reshape(1, 3, 1, 1)
+    return torch.tensor(values, dtype=torch.float32).reshape(1, 3, 1, 1)
 
 
 # Exceptions raised by torch.load for files that are not PyTorch files.

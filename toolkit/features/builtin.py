@@ -108,15 +108,17 @@ def _by_direction(x: Tensor, y: Tensor, squares: Tensor) -> Tensor:
         x, y: [B, 1, H, W], vectors of norm at most `squares`.
         squares: [B, 1, H, W], squared magnitudes, positive.
     """
-    angles = torch.arange(_MAPS, device=x.device) * (2.0 * math.pi / _MAPS)
-    cosine, sine = (f(angles).to(x).view(1, -1, 1, 1) for f in (torch.cos, torch.sin))
+    angles = torch.arange(_MAPS, device=x.device).to(x) * (2.0 * math.pi / _MAPS)
+    cosine, sine = (f(angles).view(1, -1, 1, 1) for f in (torch.cos, torch.sin))
     weights = ((x * cosine + y * sine) / squares).clamp_min(0.0)
     return squares.sqrt() * weights * weights
 
 
 def _levels(lightness: Tensor) -> Tensor:
     """Return linear soft assignments [B, 8, H, W] of lightness [B, 1, H, W] to eight levels."""
-    middles = torch.linspace(_DARKEST, _LIGHTEST, _MAPS, device=lightness.device)
+    middles = torch.linspace(
+        _DARKEST, _LIGHTEST, _MAPS, dtype=lightness.dtype, device=lightness.device
+    )
     step = (_LIGHTEST - _DARKEST) / (_MAPS - 1)
     distance = (lightness.clamp(_DARKEST, _LIGHTEST) - middles.view(1, -1, 1, 1)).abs()
     return (1.0 - distance / step).clamp_min(0.0)
@@ -173,6 +175,6 @@ class ColourHistogramEncoder:
 
 def _memberships(values: Tensor, bins: int) -> Tensor:
     """Return the linear weights [B, P, bins] of values [B, P] in [0, 1], with sum 1."""
-    middles = (torch.arange(bins, device=values.device) + 0.5) / bins
+    middles = (torch.arange(bins).to(values) + 0.5) / bins
     inside = values.clamp(0.5 / bins, 1.0 - 0.5 / bins)
     return (1.0 - (inside[..., None] - middles).abs() * bins).clamp_min(0.0)

@@ -115,12 +115,13 @@ class GaussianCloud:
     @classmethod
     def empty(cls, feature_channels: int = 0, device: str | torch.device = "cpu") -> GaussianCloud:
         """Create a cloud without Gaussians."""
+        none = torch.zeros(0, dtype=torch.float32, device=device)
         return cls.from_values(
-            means=torch.zeros(0, 3, device=device),
-            radii_m=torch.zeros(0, device=device),
-            opacities=torch.zeros(0, device=device),
-            colours=torch.zeros(0, 3, device=device),
-            features=torch.zeros(0, feature_channels, device=device),
+            means=none.view(0, 3),
+            radii_m=none,
+            opacities=none,
+            colours=none.view(0, 3),
+            features=none.new_zeros(0, feature_channels),
         )
 
     @classmethod

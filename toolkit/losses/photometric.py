@@ -83,7 +83,7 @@ def rgbd_loss_torch(
     """
     rgb, depth_m = observed
     colour, silhouette = images[COLOUR], images[SILHOUETTE]
-    flat = _charbonnier(colour - rgb, torch.tensor(weights.colour_scale)).mean()
+    flat = _charbonnier(colour - rgb, images.new_tensor(weights.colour_scale)).mean()
     structural = 1.0 - ssim_torch(colour, rgb)
     value = weights.colour * ((1 - weights.structure) * flat + weights.structure * structural)
     measured = depth_m > 0

@@ -116,7 +116,9 @@ def measured_centres(
         depth_m: [H, W] measured depth of the newest keyframe, on the device of the Gaussians.
     """
     means, newest = gaussians.means, keyframes[-1]
-    frame_indices = torch.tensor([k.index for k in keyframes], device=means.device)
+    frame_indices = torch.tensor(
+        [k.index for k in keyframes], dtype=torch.int64, device=means.device
+    )
     positions = np.array([k.T_map_camera[:3, 3] for k in keyframes], np.float32)
     T_camera_map = torch.from_numpy(se3.inverse(newest.T_map_camera)).to(means)
     points = means @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]

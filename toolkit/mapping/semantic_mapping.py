@@ -56,7 +56,9 @@ class SemanticMapping:
     @property
     def start_values(self) -> Tensor:
         """Features [C + 1, S] of a new Gaussian by the class id of its pixel."""
-        return torch.zeros(1, 0) if self._loss is None else self._loss.code.start_values
+        if self._loss is None:
+            return torch.zeros(1, 0, dtype=torch.float32)
+        return self._loss.code.start_values
 
     @property
     def random_start(self) -> bool:

@@ -36,7 +36,7 @@ class NativeForwardPass:
         self._channels = BASE_CHANNELS + arrays[4].shape[1]
         self._harmonics = arrays[7].shape[1] if len(arrays) > 5 else 0
         self._state = idle.pop() if idle else module.Rasterisation()
-        self.images = torch.empty(0)
+        self.images = arrays[0].new_empty(0)
 
     def __del__(self) -> None:
         # Reuse the buffers for the next view: allocating new pages costs as much as rendering.
@@ -54,8 +54,8 @@ class NativeForwardPass:
     ) -> None:
         """Render into `images`."""
         # Tiles outside a region are not written and must be initialised with zero.
-        create = torch.empty if self._region is None else torch.zeros
-        channels = self._channels + (3 if centres else 0)
+        means, channels = self._arrays[0], self._channels + (3 if centres else 0)
+        create = means.new_empty if self._region is None else means.new_zeros
         self.images = create(channels, camera.height, camera.width)
         self._module.forward(
             self._state,
@@ -73,7 +73,7 @@ class NativeForwardPass:
         self, image_gradients: Tensor, colours: bool = True, detached: bool = False
     ) -> GaussianGradients:
         """See ForwardPass.backward."""
-        n = self._state.visible
+        n, empty = self._state.visible, self._arrays[0].new_empty
         image_gradients = _contiguous(image_gradients)
         without_features = len(image_gradients) == BASE_CHANNELS
         expected = self.images[: BASE_CHANNELS if without_features else self._channels]
@@ -87,11 +87,11 @@ class NativeForwardPass:
         shapes = self._empty_ellipsoids(n)
         result = GaussianGradients(
             ids=torch.empty(n, dtype=torch.int64),
-            means=torch.empty(n, 3),
-            log_radii=torch.zeros(n) if shapes else torch.empty(n),
-            opacity_logits=torch.empty(n),
-            colours=torch.empty(n, 3) if colours else None,
-            features=torch.empty(n, self._arrays[4].shape[1]),
+            means=empty(n, 3),
+            log_radii=empty(n).zero_() if shapes else empty(n),
+            opacity_logits=empty(n),
+            colours=empty(n, 3) if colours else None,
+            features=empty(n, self._arrays[4].shape[1]),
             T_camera_map=torch.empty(3, 4, dtype=torch.float64),
             ellipsoids=shapes,
         )
@@ -118,9 +118,8 @@ class NativeForwardPass:
     def _empty_ellipsoids(self, count: int) -> Ellipsoids | None:
         if len(self._arrays) == 5:
             return None
-        return Ellipsoids(
-            torch.empty(count, 3), torch.empty(count, 4), torch.empty(count, self._harmonics, 3)
-        )
+        empty = self._arrays[0].new_empty
+        return Ellipsoids(empty(count, 3), empty(count, 4), empty(count, self._harmonics, 3))
 
 
 class NativeRenderer:

@@ -111,7 +111,7 @@ def surface_depth(
     module = kernels_for(images)
     if module is None:
         return _surface_depth_torch(images, camera, T_camera_map, min_silhouette)
-    depth_m = torch.empty(camera.height, camera.width)
+    depth_m = images.new_empty(camera.height, camera.width)
     module.surface_depth(
         *kernel_geometry(camera, T_camera_map),
         address(images),

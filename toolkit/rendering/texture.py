@@ -67,7 +67,7 @@ def centred_intensity(view: SurfaceView, min_silhouette: float) -> Tensor | None
     module = kernels_for(images)
     if module is None:
         return None
-    intensity = torch.empty(images.shape[1:])
+    intensity = images.new_empty(images.shape[1:])
     module.centred_intensity(
         *kernel_geometry(view.camera, view.T_camera_map),
         address(images),

@@ -89,8 +89,8 @@ def _best_pose(run: FinishedRun, selected: NDArray[np.bool_]) -> Array:
 def _painted(gaussians: GaussianCloud, selected: NDArray[np.bool_]) -> GaussianCloud:
     """Gaussians of which the selected ones are orange, and the others grey."""
     own = gaussians.colours.clamp(0.0, 1.0)
-    grey = (own @ torch.tensor(_LUMINANCE))[:, None].expand(-1, 3) * _GREY_SHARE
-    orange = _OWN_SHARE * own + (1.0 - _OWN_SHARE) * torch.tensor(_HIGHLIGHT)
+    grey = (own @ own.new_tensor(_LUMINANCE))[:, None].expand(-1, 3) * _GREY_SHARE
+    orange = _OWN_SHARE * own + (1.0 - _OWN_SHARE) * own.new_tensor(_HIGHLIGHT)
     colours = torch.where(torch.from_numpy(selected)[:, None], orange, grey)
     shapes = None if gaussians.ellipsoids is None else gaussians.ellipsoids.with_degree(0)
     return replace(gaussians, colours=colours, ellipsoids=shapes)

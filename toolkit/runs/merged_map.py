@@ -132,7 +132,9 @@ def _instances(
 def _without_features(submap: Submap) -> Submap:
     """Return a submap without features, which are only valid for one code."""
     cloud = submap.gaussians
-    return replace(submap, gaussians=replace(cloud, features=torch.zeros(len(cloud), 0)))
+    return replace(
+        submap, gaussians=replace(cloud, features=cloud.features.new_zeros(len(cloud), 0))
+    )
 
 
 def _labels(

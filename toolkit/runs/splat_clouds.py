@@ -29,7 +29,7 @@ def cloud_of(splats: Splats) -> GaussianCloud:
     means, log_radii, opacity_logits, colours = (
         torch.from_numpy(np.ascontiguousarray(a, dtype=np.float32)) for a in arrays
     )
-    cloud = GaussianCloud(means, log_radii, opacity_logits, colours, torch.zeros(len(means), 0))
+    cloud = GaussianCloud(means, log_radii, opacity_logits, colours, means.new_zeros(len(means), 0))
     if splats.ellipsoids is None:
         return cloud
     tensors = (torch.from_numpy(getattr(splats.ellipsoids, name)) for name in SHAPES)

@@ -110,9 +110,9 @@ class NetworkDecoder:
         shapes = {"in": (hidden, channels), "out": (classes, hidden)}
         self._parameters: dict[str, Tensor] = {}
         for name, (rows, columns) in shapes.items():
-            weight = torch.randn(rows, columns, generator=generator) * (2.0 / columns) ** 0.5
-            self._parameters[f"{name}_weight"] = weight
-            self._parameters[f"{name}_bias"] = torch.zeros(rows, 1)
+            weight = torch.randn(rows, columns, generator=generator, dtype=torch.float32)
+            self._parameters[f"{name}_weight"] = weight * (2.0 / columns) ** 0.5
+            self._parameters[f"{name}_bias"] = weight.new_zeros(rows, 1)
         self._first = {n: torch.zeros_like(p) for n, p in self._parameters.items()}
         self._second = {n: torch.zeros_like(p) for n, p in self._parameters.items()}
         self._memory = ReplayMemory(channels, classes, replay)

@@ -187,7 +187,7 @@ def _smoothed(inverse: NDArray[np.float32], noise: float) -> NDArray[np.float32]
     module = kernels_for(image)
     if module is None:
         return _smoothed_numpy(inverse, noise)
-    out = torch.empty(inverse.shape)
+    out = image.new_empty(image.shape)
     module.smooth_inverse_depth(
         inverse.shape[::-1],
         address(image),

@@ -55,8 +55,9 @@ def model(camera: Camera, intensity: Tensor, depth: Tensor) -> tuple[Tensor, Ten
     parts = torch.stack([intensity[inner], along_x, along_y, z], dim=-1)
     texture[inner] = torch.where(usable[..., None], parts, torch.zeros_like(parts))
     smooth = usable & same_surface(left, z, right) & same_surface(above, z, below)
-    ray_x = (torch.arange(camera.width, device=z.device)[None, 1:-1] - camera.cx) / camera.fx
-    ray_y = (torch.arange(camera.height, device=z.device)[1:-1, None] - camera.cy) / camera.fy
+    y, x = (torch.arange(1, n - 1, device=z.device).to(z) for n in depth.shape)
+    ray_x = (x[None] - camera.cx) / camera.fx
+    ray_y = (y[:, None] - camera.cy) / camera.fy
     rays = torch.stack([ray_x.expand_as(z), ray_y.expand_as(z), torch.ones_like(z)], dim=-1)
     tangent_x = rays * (0.5 * (right - left))[..., None]
     tangent_x[..., 0] += z / camera.fx

@@ -25,7 +25,7 @@ def linearise(problem: LevelProblem) -> Linearisation:
     scalars = [*intrinsics, *pose, gain, bias, 1.0 / sigma_intensity, 1.0 / sigma_depth]
     chunks = triton.cdiv(size[0] * size[1], _BLOCK)
     count = min(chunks, _PARTS)
-    parts = torch.empty(count, _WIDE, _WIDE, device=device)
+    parts = torch.empty(count, _WIDE, _WIDE, dtype=torch.float32, device=device)
     with on(device):
         accumulation.accumulate[(count,)](
             model.texture,

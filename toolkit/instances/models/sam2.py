@@ -50,7 +50,9 @@ class Sam2Masks:
         self._images = ImagePreprocessing.load(folder)
         self._side = int(self._model.config.prompt_encoder_config.image_size)
         self._min_score = _MIN_SCORE if options.min_score is None else options.min_score
-        centres = (torch.arange(options.points) + 0.5) / options.points * self._side
+        centres = (
+            (torch.arange(options.points, dtype=torch.float32) + 0.5) / options.points * self._side
+        )
         x, y = torch.meshgrid(centres, centres, indexing="xy")
         self._points = torch.stack([x, y], dim=-1).reshape(1, -1, 1, 2).to(self._device)
 

@@ -49,7 +49,8 @@ class UniversalMasks:
         if config.model_type == "oneformer":
             tokenizer, length = load_tokenizer(folder), int(config.task_seq_len)
             ids = tokenizer(_TASK, padding="max_length", max_length=length, truncation=True)
-            self._task = {"task_inputs": torch.tensor([ids["input_ids"]], device=self._device)}
+            task = torch.tensor([ids["input_ids"]], dtype=torch.int64, device=self._device)
+            self._task = {"task_inputs": task}
         self._names = {
             int(i): None if str(name).casefold() in VOID_NAMES else str(name)
             for i, name in config.id2label.items()

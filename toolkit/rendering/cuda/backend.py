@@ -53,7 +53,7 @@ class CudaForwardPass:
         self._cloud, self._camera, self._T_camera_map = cloud, camera, T_camera_map
         self._shaped = ellipsoids.is_shaped(cloud)
         self._binning, self._tuning = binning, tuning
-        self.images = torch.empty(0)
+        self.images = cloud.means.new_empty(0)
         self._forward_state: _ForwardState | None = None
 
     @property
@@ -65,11 +65,12 @@ class CudaForwardPass:
         bins, camera, tuning = self._binning, self._camera, self._tuning
         channels, device = self._channels, bins.view.device
         planes = BASE_CHANNELS + channels + (3 if centres else 0)
-        self.images = torch.empty(planes, camera.height, camera.width, device=device)
+        empty = self._cloud.means.new_empty
+        self.images = empty(planes, camera.height, camera.width)
         pixels = tuning.side**2
         self._forward_state = _ForwardState(
-            torch.empty(len(bins.rows) // tuning.batch + bins.tiles, pixels, device=device),
-            torch.empty(bins.tiles, pixels, device=device),
+            empty(len(bins.rows) // tuning.batch + bins.tiles, pixels),
+            empty(bins.tiles, pixels),
             torch.empty(bins.tiles, dtype=torch.int32, device=device),
         )
         block = block_of(channels, tuning.channels_forward)
@@ -110,11 +111,11 @@ class CudaForwardPass:
             )
         by_images = image_gradients.detach().to(device, torch.float32).contiguous()
         visible = len(bins.ids)
-        features = torch.empty(visible, channels, device=device)
+        features = by_images.new_empty(visible, channels)
         width = _SHAPED_SUMS if self._shaped else _SUMS
         # The tiles of ellipsoids do not write all rows; see `list_pairs`.
-        create = torch.zeros if self._shaped else torch.empty
-        sums = create(len(bins.rows), width, device=device)
+        create = features.new_zeros if self._shaped else features.new_empty
+        sums = create(len(bins.rows), width)
         if not visible:
             return self._finished(sums, features, colours)
         with on(device):
@@ -190,10 +191,10 @@ class CudaForwardPass:
         bins, device, visible = self._binning, sums.device, len(self._binning.ids)
         blocks = triton.cdiv(visible, _REDUCED)
         pose = torch.zeros(max(1, blocks), 12, dtype=torch.float64, device=device)
-        by_colours = torch.empty(visible, 3, device=device) if colours else None
-        means = torch.empty(visible, 3, device=device)
-        log_radii = torch.empty(visible, device=device)
-        opacity_logits = torch.empty(visible, device=device)
+        by_colours = sums.new_empty(visible, 3) if colours else None
+        means = sums.new_empty(visible, 3)
+        log_radii = sums.new_empty(visible)
+        opacity_logits = sums.new_empty(visible)
         if visible:
             reduction.finish[(blocks,)](
                 bins.view,
@@ -227,7 +228,7 @@ class CudaForwardPass:
         )
 
     def _finished_shapes(self, sums: Tensor, features: Tensor, colours: bool) -> GaussianGradients:
-        totals = torch.empty(len(self._binning.ids), _SHAPED_SUMS, device=sums.device)
+        totals = sums.new_empty(len(self._binning.ids), _SHAPED_SUMS)
         if len(totals):
             self._add_rows(sums, totals, 0)
         found = ellipsoids.gradients_of(

@@ -175,7 +175,7 @@ def _covered(splats: Tensor, view: Tensor, grid: _Grid) -> _Projected:
 
 def _projected(cloud: GaussianCloud, view: Tensor, grid: _Grid) -> _Projected:
     count = len(cloud)
-    splats = torch.empty(count, int(projection.SPLAT.value), device=view.device)
+    splats = cloud.means.new_empty(count, int(projection.SPLAT.value))
     out = _around(splats, view)
     if count:
         projection.project[(triton.cdiv(count, _BLOCK),)](

@@ -35,7 +35,7 @@ def splats_of(cloud: GaussianCloud, camera: Camera, T_camera_map: NDArray[np.flo
     """Return splats [N, 12] float32; see `_splats`. Those of invisible Gaussians are arbitrary."""
     pose = _pose(T_camera_map, cloud.means.device)
     cloud = _without_features(cloud)
-    splats = torch.empty(len(cloud), int(SHAPED_SPLAT.value), device=cloud.means.device)
+    splats = cloud.means.new_empty(len(cloud), int(SHAPED_SPLAT.value))
     for first in range(0, len(cloud), _PART):
         part = cloud.mapped(lambda tensor: tensor[first : first + _PART].double())  # noqa: B023
         splats[first : first + _PART] = _splats(part, camera, pose.expand(len(part), 3, 4))

@@ -141,8 +141,8 @@ def _fit(
     """Return the weights [C, D] and bias [C] that minimise the regularised cross-entropy."""
     mean, deviation = features.mean(dim=0), features.std(dim=0, correction=0).clamp_min(1e-6)
     scaled = (features - mean) / deviation
-    weights = torch.zeros(targets.shape[1], features.shape[1], requires_grad=True)
-    bias = torch.zeros(targets.shape[1], requires_grad=True)
+    weights = scaled.new_zeros(targets.shape[1], features.shape[1], requires_grad=True)
+    bias = scaled.new_zeros(targets.shape[1], requires_grad=True)
     optimiser = torch.optim.LBFGS(
         [weights, bias], max_iter=options.steps, line_search_fn="strong_wolfe"
     )

@@ -47,7 +47,7 @@ class TransformersSegmenter:
         if sorted(names) != list(range(self._count)):
             raise FormatError(f"{folder}: id2label must number its classes from 0 without gaps")
         void = [True, *(names[i].casefold() in VOID_NAMES for i in range(self._count))]
-        self._void = torch.tensor(void, device=self._device)
+        self._void = torch.tensor(void, dtype=torch.bool, device=self._device)
         self.place_divergence = 0.4
         self.class_names: Mapping[int, str] = {
             i + 1: name for i, name in names.items() if name.casefold() not in VOID_NAMES
