@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from toolkit.cli.main import main
-from toolkit.io.images import read_rgb
+from toolkit.io.images import read_rgb, write_rgb
 from toolkit.runs.splat_clouds import read_cloud
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -121,6 +122,26 @@ def test_evaluate_takes_the_new_path_of_a_moved_dataset(run, capsys, recording):
     config.write_text(config.read_text().replace(str(recording), "/gone"))
     assert "/gone" in one_line_of_error(capsys, "evaluate", run)
     assert main(["evaluate", str(run), "--dataset.path", str(recording)]) == 0
+
+
+def test_another_recording_is_not_taken_for_that_of_the_run(
+    tiny_run, tiny_recording, tmp_path, capsys
+):
+    run, other = tmp_path / "run", tmp_path / "other"
+    shutil.copytree(tiny_run, run)
+    shutil.copytree(tiny_recording, other)
+    assert main(["evaluate", str(run), "--dataset.path", str(other)]) == 0
+    metrics = (run / "metrics.json").read_bytes()
+    for file in (other / "rgb").iterdir():
+        write_rgb(file, read_rgb(file)[:, ::-1])
+    capsys.readouterr()
+    line = one_line_of_error(capsys, "evaluate", run, "--dataset.path", other)
+    assert f"{other} is not the recording of {run}" in line and str(tiny_recording) in line
+    assert (run / "metrics.json").read_bytes() == metrics
+    config = run / "config.yaml"
+    config.write_text(config.read_text().replace(str(tiny_recording), str(other)))
+    words = ["export", run, "--to", tmp_path / "views", "--format", "nerfstudio"]
+    assert "is not the recording" in one_line_of_error(capsys, *words, "--images", "copy")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz", ".sog", ".compressed.ply"])

@@ -25,6 +25,7 @@ from toolkit.io.splat_placement import origin_comment
 from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.frame_records import read_part, read_state
+from toolkit.runs.recording_samples import is_same_recording
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.semantics.factory import build_code
@@ -48,6 +49,7 @@ class FinishedRun:
         anchors: T_world_submap [4, 4] of each readable submap of the main part, by number.
         camera: intrinsics of the frames after resizing.
         dataset_from_run: path of the dataset relative to the run folder, or None.
+        samples: small images of the dataset (`recording_samples`).
         states: states of all frames of the sequence, in order.
         parts: parts of the map, the main part first; the relative poses of parts are unknown.
         metric: whether lengths are in metres; otherwise their unit is arbitrary.
@@ -66,6 +68,7 @@ class FinishedRun:
     anchors: dict[int, NDArray[np.float64]]
     camera: Camera
     dataset_from_run: str | None
+    samples: list[dict[str, Any]]
     states: list[FrameState]
     parts: list[PartSummary]
     metric: bool
@@ -150,12 +153,18 @@ class FinishedRun:
             image_size: width and height in pixels; by default as in the run.
 
         Raises:
-            DatasetError: it does not exist or has changed.
+            DatasetError: it does not exist, has changed or is another one.
         """
         path = path or self.dataset_path
         if path is None:
             raise DatasetError(f"{self.folder.config} has no dataset.path; add it to the file")
         dataset = open_recording(self.settings, path, image_size)
+        if not is_same_recording(dataset, self.samples):
+            raise DatasetError(
+                f"{path} is not the recording of {self.folder.path}: its images differ from those "
+                f"of the run; give the folder that holds them (config.yaml says dataset.path "
+                f"{self.settings.dataset.path})"
+            )
         if not dataset.recording.calibrated and self.camera.size == dataset.camera.size:
             dataset.camera = self.camera  # the focal length that the run has estimated
         return dataset
@@ -209,6 +218,7 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             anchors=_anchors(content["submaps"]),
             camera=Camera(**content["camera"]),
             dataset_from_run=content.get("dataset_from_run"),
+            samples=content.get("samples", []),
             states=[read_state(row) for row in content["states"]],
             parts=[read_part(row) for row in content["parts"]],
             metric=bool(content["metric"]),

@@ -64,6 +64,7 @@ from toolkit.runs.frame_records import frame_records
 from toolkit.runs.instance_files import write_instances
 from toolkit.runs.map_files import labelled_parts
 from toolkit.runs.modes import mode_of
+from toolkit.runs.recording_samples import recording_samples
 from toolkit.runs.report_pictures import (
     level_images,
     loop_pictures,
@@ -143,8 +144,8 @@ def write_results(
     write_separate_parts(result, folder, settings)
     states, parts = frame_states(result), part_summaries(result)
     frames = frame_records(result, tracked, states, parts)
-    frames["camera"] = asdict(dataset.camera)
-    frames |= {"metric": names.metric, **origins}
+    frames |= {"camera": asdict(dataset.camera), "metric": names.metric, **origins}
+    frames["samples"] = recording_samples(dataset, [frame.index for frame in tracked])
     if pace is not None:
         frames["dropped"] = result.dropped_frames
         write_text(folder.delays, pace.csv())
