@@ -124,6 +124,14 @@ def test_evaluate_takes_the_new_path_of_a_moved_dataset(run, capsys, recording):
     assert main(["evaluate", str(run), "--dataset.path", str(recording)]) == 0
 
 
+def test_evaluate_says_that_semantics_are_missing(tiny_run, tmp_path, caplog):
+    run = tmp_path / "run"
+    shutil.copytree(tiny_run, run)
+    shutil.rmtree(run / "semantics")
+    assert main(["evaluate", str(run)]) == 0
+    assert f"{run / 'semantics'} is missing: labels are not evaluated" in caplog.text
+
+
 def test_another_recording_is_not_taken_for_that_of_the_run(
     tiny_run, tiny_recording, tmp_path, capsys
 ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from collections.abc import Sequence
@@ -37,6 +38,8 @@ from toolkit.runs.settings import RunSettings
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.frame_preparation import FrameSources
 from toolkit.slam.ignored_frames import FramesWithoutIgnored
+
+_log = logging.getLogger(__name__)
 
 # The mesh that is compared with the true one: voxels in metres, maximum depth in metres, and the
 # maximum number of fused views.
@@ -74,6 +77,11 @@ def evaluate(
     location = replace(run.settings.dataset, path=path)
     evaluation = evaluation or run.settings.evaluation
     settings = replace(run.settings, dataset=location, evaluation=evaluation)
+    if run.taxonomy is None and run.folder.taxonomy.is_file():
+        _log.warning(
+            "%s is missing: labels are not evaluated; restore the folder, or run again",
+            run.folder.semantics,
+        )
     semantics = semantic_evaluation(run.semantics, run.taxonomy, dataset, evaluation.subset)
     scene = InMemoryScene(run.gaussians)
     compared = compared_frames(dataset, settings)
