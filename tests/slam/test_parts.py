@@ -102,7 +102,7 @@ def test_a_submap_is_refined_with_the_cameras_of_its_part(room, monkeypatch):
     slam = new_slam()
     fed(slam, sequence(room))
     cameras = []
-    monkeypatch.setattr(slam.mapper, "refine", lambda submap, T, _: cameras.append(T))
+    monkeypatch.setattr(slam.mapper, "refine", lambda submap, T, *_: cameras.append(T))
     slam.finish()
     first, second = cameras
     assert len(first) == len(second) == 4
