@@ -45,13 +45,15 @@ def make_replica(tmp_path) -> Callable[..., Path]:
 def make_tum(tmp_path) -> Callable[..., Path]:
     """Writes a recording in TUM's layout; colour every 0.1 s, depth 10 ms later."""
 
-    def make(frames: int = 4, name: str = "rgbd_dataset_freiburg3_test") -> Path:
+    def make(
+        frames: int = 4, name: str = "rgbd_dataset_freiburg3_test", start_s: float = 1341840000.0
+    ) -> Path:
         folder = tmp_path / name
         for kind in ("rgb", "depth"):
             (folder / kind).mkdir(parents=True)
         lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
         for i in range(frames):
-            time = 100.0 + 0.1 * i
+            time = start_s + 0.1 * i
             rgb = np.kron(frame_rgb(i), np.ones((20, 20, 1)))
             depth_m = np.kron(frame_depth_m(i), np.ones((20, 20)))
             images.write_rgb(folder / f"rgb/{time:.6f}.png", rgb)

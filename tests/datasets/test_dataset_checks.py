@@ -102,7 +102,9 @@ def test_timestamps_out_of_order(make_tum):
     folder = make_tum(frames=3)
     lines = (folder / "depth.txt").read_text().splitlines()
     (folder / "depth.txt").write_text("\n".join([*lines[:2], lines[3], lines[2]]))
-    assert only_fault("tum", folder) == "depth.txt: timestamps out of order at 100.110000.png"
+    assert only_fault("tum", folder) == (
+        "depth.txt: timestamps out of order at 1341840000.110000.png"
+    )
 
 
 def test_pauses_are_noted(make_tum):

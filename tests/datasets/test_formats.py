@@ -104,10 +104,10 @@ def test_tum_associates_by_time(make_tum):
 def test_tum_interpolates_poses_in_time(make_tum):
     folder = make_tum()
     moving = [
-        f"{100.1 + offset_s:.3f} {offset_s} 0 0 0 0 {np.sin(half)} {np.cos(half)}"
+        f"{1341840000.1 + offset_s:.3f} {offset_s} 0 0 0 0 {np.sin(half)} {np.cos(half)}"
         for offset_s, half in ((-0.004, -0.02), (0.006, 0.03))
     ]
-    alone = "100.31 5 0 0 0 0 0 1"
+    alone = "1341840000.31 5 0 0 0 0 0 1"
     (folder / "groundtruth.txt").write_text("\n".join([*moving, alone]))
     truth = open_dataset("tum", folder, image_size=(32, 24)).ground_truth
     # Of the two frames with a pose, one is between two poses, the other before a single one.
@@ -122,7 +122,7 @@ def test_tum_omits_frames_without_depth_and_poses_without_ground_truth(make_tum)
         lines = (folder / name).read_text().splitlines()
         (folder / name).write_text("\n".join(lines[:1] + lines[2:]))
     (folder / "groundtruth.txt").write_text(
-        (folder / "groundtruth.txt").read_text().replace("\n100.2", "\n150.2")
+        (folder / "groundtruth.txt").read_text().replace("\n1341840000.2", "\n1341840050.2")
     )
     dataset = open_dataset("tum", folder, image_size=(32, 24))
     check_frames(dataset, [1, 2, 3])
@@ -146,7 +146,7 @@ def test_tum_sorts_lists_and_reports_it(make_tum):
     (folder / "rgb.txt").write_text("\n".join([lines[0], lines[2], lines[1], *lines[3:]]))
     dataset = open_dataset("tum", folder, image_size=(32, 24))
     check_frames(dataset, [0, 1, 2, 3])
-    assert dataset.recording.flaws == ("rgb.txt: timestamps out of order at 100.000000.png",)
+    assert dataset.recording.flaws == ("rgb.txt: timestamps out of order at 1341840000.000000.png",)
 
 
 def test_tum_without_a_known_camera_raises(make_tum):

@@ -5,6 +5,7 @@ import pytest
 
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError
+from toolkit.io.images import read_rgb, write_rgb
 
 INTRINSICS = "fx: 20.5\nfy: 20.5\ncx: 15.5\ncy: 11.5\nwidth: 640\nheight: 480\ndepth_scale: 1000\n"
 
@@ -20,16 +21,38 @@ def test_a_stated_camera_counts_more_than_the_name(make_tum, name):
 
 
 @pytest.mark.parametrize(
-    ("name", "fx", "depth_scale"),
+    ("name", "start_s", "fx"),
     [
-        ("rgbd_bonn_balloon", 542.823, 5000.0),
-        ("living_room_traj1_frei_png", 481.2, 5000.0),
-        ("rgbd_dataset_freiburg2_xyz", 520.9, 5000.0),
+        ("rgbd_bonn_balloon", 1548266469.0, 542.823),
+        ("rgbd_dataset_freiburg1_xyz", 1305031102.0, 517.3),
+        ("rgbd_dataset_freiburg2_xyz", 1311867170.0, 520.9),
     ],
 )
-def test_benchmarks_are_known_by_their_names(make_tum, name, fx, depth_scale):
-    recording = describe("tum", make_tum(name=name))
-    assert (recording.camera.fx, recording.depth_scale) == (fx, depth_scale)
+def test_benchmarks_are_known_by_their_names(make_tum, name, start_s, fx):
+    recording = describe("tum", make_tum(name=name, start_s=start_s))
+    assert (recording.camera.fx, recording.depth_scale) == (fx, 5000.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "start_s", "said"),
+    [
+        ("rgbd_dataset_freiburg1_xyz", 1764400000.0, "times from 1300000000 to 1350000000 s"),
+        ("bonn_office", 0.0, "times from 1530000000 to 1560000000 s, not 0"),
+        ("my_living_room", 0.0, "one list of pairs of images, not two lists"),
+    ],
+)
+def test_a_name_does_not_count_against_the_data(make_tum, name, start_s, said):
+    with pytest.raises(DatasetError, match=said) as raised:
+        describe("tum", make_tum(name=name, start_s=start_s))
+    assert "intrinsics.yaml" in str(raised.value)
+
+
+def test_a_name_does_not_count_for_images_of_another_size(make_tum):
+    folder = make_tum()
+    for file in (folder / "rgb").iterdir():
+        write_rgb(file, read_rgb(file)[:240, :320])
+    with pytest.raises(DatasetError, match=r"freiburg3 .* images of 640x480, not 320x240"):
+        describe("tum", folder)
 
 
 def test_the_own_name_of_a_link_counts(make_tum, tmp_path):
@@ -59,11 +82,8 @@ def test_openloris_has_lists_of_other_names(make_tum):
 
 def test_icl_nuim_has_one_list_with_numbers_of_frames_and_poses_with_y_up(make_tum):
     folder = make_tum(name="living_room_traj0_frei_png")
-    before = describe("tum", folder)
-    lines = [
-        f"{k} depth/{files.depth.name} {k} rgb/{files.rgb.name}"
-        for k, files in enumerate(before.files)
-    ]
+    rgb, depth = (sorted((folder / kind).iterdir()) for kind in ("rgb", "depth"))
+    lines = [f"{k} depth/{depth[k].name} {k} rgb/{rgb[k].name}" for k in range(4)]
     for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
         (folder / name).unlink()
     (folder / "associations.txt").write_text("\n".join(lines))
@@ -71,7 +91,7 @@ def test_icl_nuim_has_one_list_with_numbers_of_frames_and_poses_with_y_up(make_t
     poses = [f"{k} 0 {0.1 * k} 0 {np.sin(half)} 0 0 {np.cos(half)}" for k in range(4)]
     (folder / "livingRoom0.gt.freiburg").write_text("\n".join(poses))
     dataset = open_dataset("tum", folder, image_size=(32, 24))
-    assert [f.rgb for f in before.files] == [dataset.files(k).rgb for k in range(4)]
+    assert rgb == [dataset.files(k).rgb for k in range(4)]
     np.testing.assert_allclose(dataset.timestamps_s, np.arange(4) / 30)
     truth = dataset.ground_truth.T_world_camera
     # In a world whose y axis points down, the camera moves and turns the other way.

@@ -54,7 +54,8 @@ def describe(path: Path) -> Recording:
         flaws = rgb_flaws + depth_flaws
     if not rgb.files:
         raise DatasetError(f"{folder / names[0]} lists no images; check the path")
-    known = camera_of(folder, path, rgb.files[0], openloris=names == _OPENLORIS)
+    first = float(rgb.times_s[0]), rgb.files[0]
+    known = camera_of(folder, path, first, names == _OPENLORIS, names == _PAIRS)
     pairs = associate(rgb.times_s, depth.times_s, MAX_DIFFERENCE_S)
     if not pairs:
         raise DatasetError(
