@@ -21,7 +21,7 @@ endef
 
 emulation = { command -v qemu-x86_64-static && command -v aarch64-linux-gnu-g++ && command -v clang++; } >/dev/null
 
-.PHONY: help demo test bench tables lint docs ready clean
+.PHONY: help demo test bench tables figures lint docs ready clean
 .DELETE_ON_ERROR:
 
 help:
@@ -29,6 +29,7 @@ help:
 	@echo "make test   run the tests"
 	@echo "make bench  measure the renderer, and compare SLAM with Open3D's dense SLAM"
 	@echo "make tables measure the counterparts of the papers' tables (up to three hours; set SEMSPLAT_DATA)"
+	@echo "make figures measure README's figures, except those of the papers' tables (set SEMSPLAT_DATA)"
 	@echo "make lint   check style, types and import layers"
 	@echo "make docs   build the documentation website in site/"
 	@echo "make clean  remove build products and caches; .venv and runs/ are kept"
@@ -66,6 +67,16 @@ ifndef QUICK
 	.venv/bin/python -m benchmarks.many_classes
 	.venv/bin/python -m benchmarks.critic
 endif
+
+# Everything that README quotes but `make tables` and the registration of submaps.
+figures: ready
+	.venv/bin/python -m benchmarks.sequences
+	.venv/bin/python -m benchmarks.semantics quality
+	.venv/bin/python -m benchmarks.semantics room
+	for recording in redkitchen fr1_rpy office0; do \
+		.venv/bin/python -m benchmarks.compare_open3d $$recording || exit; done
+	.venv/bin/python -m benchmarks.stale --write
+	.venv/bin/python -m benchmarks.readme_figures
 
 lint: ready
 	.venv/bin/ruff check .
