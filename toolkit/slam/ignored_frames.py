@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
-
 import numpy as np
 
 from toolkit.datasets.base import Dataset
-from toolkit.datasets.prefetch import prefetched
+from toolkit.datasets.changed_frames import ChangedFrames
 from toolkit.frame import Frame, without_pixels
 from toolkit.semantics.segmenters.dataset_labels import RecordedLabels
 from toolkit.slam.frame_preparation import FrameSources
 
 
-class FramesWithoutIgnored:
+class FramesWithoutIgnored(ChangedFrames):
     """The frames of a dataset, which are ignored where --semantics.ignore says so.
-
-    Implements `Dataset`; any thread may read it.
 
     Args:
         dataset: the frames.
@@ -25,27 +20,17 @@ class FramesWithoutIgnored:
     """
 
     def __init__(self, dataset: Dataset, sources: FrameSources) -> None:
-        self.name, self.camera = dataset.name, dataset.camera
-        self.ground_truth, self.label_names = dataset.ground_truth, dataset.label_names
-        self._dataset, self._sources = dataset, sources
-        self._reading = threading.Lock()
+        super().__init__(dataset)
+        self._sources = sources
 
-    def __len__(self) -> int:
-        return len(self._dataset)
-
-    def __getitem__(self, index: int) -> Frame:
-        with self._reading:
-            frame = self._dataset[index]
-            labeller, masks = self._sources.labeller, self._sources.ignored
-            ignored = None
-            if labeller is not None and labeller.every_frame:
-                ignored = labeller.label(frame).ignored
-            elif masks is not None:
-                ignored = masks.pixels(frame, np.zeros(frame.depth_m.shape, bool))
+    def _changed(self, frame: Frame) -> Frame:
+        labeller, masks = self._sources.labeller, self._sources.ignored
+        ignored = None
+        if labeller is not None and labeller.every_frame:
+            ignored = labeller.label(frame).ignored
+        elif masks is not None:
+            ignored = masks.pixels(frame, np.zeros(frame.depth_m.shape, bool))
         return frame if ignored is None else without_pixels(frame, ignored)
-
-    def __iter__(self) -> Iterator[Frame]:
-        return prefetched(self, range(len(self)))
 
     def beside(self, others: Dataset) -> Dataset:
         """Other views of the same place, of which only labels of their own are known.
