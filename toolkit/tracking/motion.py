@@ -44,13 +44,14 @@ class ConstantVelocity:
         """Where the camera may be at a time; None before the first pose."""
         if not self._poses:
             return None
-        elapsed_s = timestamp_s - self._times[-1]
+        clock = max(1.0, self._pace)
+        elapsed_s = clock * (timestamp_s - self._times[-1])
         if len(self._poses) < 2 or not self._certain:
-            at_pace_s = max(1.0, self._pace) * elapsed_s
-            metres, radians = _SPEED * at_pace_s, _ANGULAR_SPEED * at_pace_s
+            metres, radians = _SPEED * elapsed_s, _ANGULAR_SPEED * elapsed_s
         else:
             # The velocity is that in the middle of the time between both poses.
-            squared = 0.5 * elapsed_s * (elapsed_s + self._times[-1] - self._times[-2])
+            before_s = clock * (self._times[-1] - self._times[-2])
+            squared = 0.5 * elapsed_s * (elapsed_s + before_s)
             metres, radians = _ACCELERATION * squared, _ANGULAR_ACCELERATION * squared
         likeliest = self.predict(timestamp_s) if self._certain else self._poses[-1]
         return Reach(likeliest, metres + _ERROR_M, radians + _ERROR_RAD)
