@@ -23,8 +23,14 @@ _MAX_GRADIENT = 0.012
 _MIN_HOLE, _MIN_SUPPORT = 60, 60
 # Distance up to which depth around a hole belongs to its surface, in pixels.
 _RING = 10
+# Distance in pixels up to which depth at the edges that bound a hole is that of its surface, unless
+# something in front of the surface bounds it.
+_EDGE_PX = 6
 # Relative residuals of points on a plane, and the share of points that must be on it.
 _TOLERANCE, _MIN_SHARE = 0.02, 0.75
+# Share of all points that must be on it, since nearer objects may bound a hole; and weight of points
+# beyond it in the choice of the plane.
+_MIN_OF_ALL, _SEEN_THROUGH = 0.3, 2
 _TRIALS, _TRIAL_POINTS = 40, 200
 # A pixel is completed if its depth follows from the plane: its leverage is 1 in the centre of the
 # points, and above 8 at twice their extent.
@@ -72,7 +78,7 @@ def complete(intensity: Image, inverse_depth: Image, rng: np.random.Generator) -
         inverse_depth: [H, W], 0 where unknown.
         rng: chooses the points that planes are tried with.
     """
-    smooth = _smooth(intensity)
+    smooth = is_smooth(intensity)
     known = inverse_depth > 0
     holes = (smooth & ~known).astype(np.uint8)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(holes, connectivity=4)
@@ -86,8 +92,8 @@ def complete(intensity: Image, inverse_depth: Image, rng: np.random.Generator) -
     return FilledHoles(found, sigma)
 
 
-def _smooth(intensity: Image) -> Mask:
-    """Where the intensity changes slowly."""
+def is_smooth(intensity: Image) -> Mask:
+    """Where an image [H, W] in [0, 1] changes slowly, as on surfaces without texture."""
     blurred = cv2.GaussianBlur(intensity, (5, 5), 1.0)
     x = cv2.Sobel(blurred, cv2.CV_32F, 1, 0, scale=1.0 / 8.0)
     y = cv2.Sobel(blurred, cv2.CV_32F, 0, 1, scale=1.0 / 8.0)
@@ -107,7 +113,7 @@ def _complete_hole(
     hole: Mask, smooth: Mask, inverse_depth: Image, out: FilledHoles, rng: np.random.Generator
 ) -> None:
     """Complete one hole in parts of the images; `out` is changed."""
-    support = _around(hole, smooth) & (inverse_depth > 0)
+    support = (_around(hole, smooth) | _border(hole)) & (inverse_depth > 0)
     if support.sum() < _MIN_SUPPORT:
         return
     plane = _fitted(_places(support), inverse_depth[support].astype(np.float64), rng)
@@ -132,6 +138,12 @@ def _around(hole: Mask, smooth: Mask) -> Mask:
     return reached.astype(bool)
 
 
+def _border(hole: Mask) -> Mask:
+    """Pixels beside a hole, across the edges of the image that bound it."""
+    side = 2 * _EDGE_PX + 1
+    return cv2.dilate(hole.astype(np.uint8), np.ones((side, side), np.uint8)).astype(bool)
+
+
 def _places(mask: Mask) -> Array:
     """Homogeneous coordinates [N, 3] of pixels, about 1 at the border of the image."""
     rows, columns = np.nonzero(mask)
@@ -153,7 +165,7 @@ def _fitted(places: Array, values: Array, rng: np.random.Generator) -> _Plane | 
             return None
         coefficients = np.linalg.inv(moments) @ (points.T @ values[near] / len(points))
         near = _on_plane(places @ coefficients, values)
-        if near.sum() < max(_MIN_SUPPORT, _MIN_SHARE * len(values)):
+        if not _is_surface(places @ coefficients, values):
             return None
     points = places[near]
     residual = values[near] - points @ coefficients
@@ -169,10 +181,27 @@ def _ransac(places: Array, values: Array, rng: np.random.Generator) -> Mask | No
     if not len(threes):
         return None
     planes = np.linalg.solve(places[threes], values[threes][..., None])[..., 0]
-    counts = _on_plane(planes @ places[some].T, values[some]).sum(-1)
-    best = planes[counts.argmax()]
-    near = _on_plane(places @ best, values)
-    return near if near.sum() >= max(_MIN_SUPPORT, _MIN_SHARE * len(values)) else None
+    fitted = planes @ places[some].T
+    on = _on_plane(fitted, values[some]).sum(-1)
+    seen_through = _beyond(fitted, values[some]).sum(-1)
+    best = planes[(on - _SEEN_THROUGH * seen_through).argmax()]
+    return _on_plane(places @ best, values) if _is_surface(places @ best, values) else None
+
+
+def _is_surface(fitted: Array, values: Array) -> bool:
+    """Whether a plane is that of a hole: most points beside it that are not nearer are on it.
+
+    Args:
+        fitted: [N] inverse depth of the plane at the points. values: [N] that of the points.
+    """
+    on, beyond = int(_on_plane(fitted, values).sum()), int(_beyond(fitted, values).sum())
+    needed = max(_MIN_SUPPORT, _MIN_OF_ALL * len(values), _MIN_SHARE * (on + beyond))
+    return on >= needed
+
+
+def _beyond(fitted: Array, values: Array) -> Mask:
+    """Points farther than a plane, which it would hide."""
+    return fitted - values >= _TOLERANCE * values
 
 
 def _on_plane(fitted: Array, values: Array) -> Mask:
