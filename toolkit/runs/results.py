@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from toolkit import __version__
 from toolkit.datasets.base import Dataset
+from toolkit.evaluation.expected_quality import shortfall_warnings
 from toolkit.evaluation.frame_costs import FrameCosts, gaussian_bytes, peak_memory_mb
 from toolkit.evaluation.frame_states import (
     frame_metrics,
@@ -168,6 +169,7 @@ def write_results(
     summary = [
         *(*record.findings, *summary_lines(states, parts), *ate_warnings(metrics)),
         *(*truth_lines(metrics["trajectory"]), *result.label_agreement.findings, *names.notes),
+        *shortfall_warnings(metrics, reported=bool(record.findings)),
     ]
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, compared, folder, names)
