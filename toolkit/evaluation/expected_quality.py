@@ -22,7 +22,8 @@ MAX_COMPARED_VIEWS = 10
 # Fewer views say little about a map.
 _MIN_VIEWS = 4
 # Shortfall that is reported, dB. Right maps of synthetic rooms are 3 to 11 dB above neighbouring
-# images, those of real sensors at most 4 dB below (fast turns, glossy floors), and wrong ones 8 dB and more.
+# images, those of real sensors at most 4 dB below (fast turns, glossy floors), and wrong ones by
+# 8 dB and more.
 _FAR_BELOW_DB = 6.0
 # Errors in depth that are reported: relative to those between neighbouring frames, and to the
 # depth. Right maps have at most 1.2 times the former, wrong ones 1.9 to 3 times.
