@@ -110,7 +110,7 @@ def _reasons(metrics: Mapping[str, Any], reported: bool) -> Iterator[str]:
     if reported:
         yield "what the checks of the recording report above"
     if not metrics.get("monocular", {}).get("reliable", True):
-        yield "the motion is unreliable (monocular.doubts in metrics.json)"
+        yield "the motion is not reliable (monocular.doubts)"
     doubtful = frames.get("doubtful", 0) + frames.get("lost", 0)
     if doubtful > _DOUBTFUL * frames.get("total", math.inf):
         yield f"{doubtful} of {frames['total']} frames are doubtful or lost"

@@ -169,6 +169,7 @@ def write_results(
     summary = [
         *(*record.findings, *summary_lines(states, parts), *ate_warnings(metrics)),
         *(*truth_lines(metrics["trajectory"]), *result.label_agreement.findings, *names.notes),
+        *_motion_doubts(record),
         *shortfall_warnings(metrics, reported=bool(record.findings)),
     ]
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
@@ -252,6 +253,12 @@ def _mode_metrics(record: RunRecord) -> Metrics:
     if record.prior is not None:
         metrics["depth_prior"] = record.prior.metrics()
     return metrics
+
+
+def _motion_doubts(record: RunRecord) -> list[str]:
+    """What makes the motion of a run without depth unreliable, a line each."""
+    doubts = [] if record.motion is None else record.motion.doubts
+    return [f"The result is not reliable: {doubt}." for doubt in doubts]
 
 
 def _label_metrics(agreement: LabelAgreement) -> Metrics:
