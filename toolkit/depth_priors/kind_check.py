@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from toolkit.depth_priors.provider import DepthKind, DepthPrior
 
@@ -20,17 +19,21 @@ Array = NDArray[np.float64]
 
 # Keyframes that are judged, how many are needed for a verdict, and how many points of each.
 MAX_KEYFRAMES, _MIN_KEYFRAMES, _MIN_POINTS = 10, 4, 20
-# Keyframes whose depths differ less (median error of a constant depth) say nothing.
-_MIN_SPREAD = 0.04
-# Rank correlations of values and depths. Right priors reach 0.6 to 1, with 30 % of noise in each
-# pixel 0.2 to 0.6; priors of other images -0.7 to 0.9 with medians up to 0.5.
+# Keyframes whose depths differ by a smaller factor (90th to 10th percentile) say nothing.
+_MIN_RANGE = 1.15
+# Correlations of values and the logarithm of depth. Right priors reach 0.6 to 1, with 30 % of noise
+# in each pixel 0.2 to 0.6; priors of other images -0.7 to 0.9 with medians up to 0.5.
 _OPPOSITE, _NONE, _NEGATIVE = -0.3, 0.15, -0.05
 _MOST, _SOME, _HALF = 0.8, 0.2, 0.5
 # By how much a correlation must be higher for other priors to belong to a keyframe.
 _HIGHER = 0.2
+# Percentiles beyond which values and depths count as less extreme ones.
+_EXTREME = (5.0, 95.0)
 # Another kind of the same direction is named if its errors are small, and these parts of those of
 # the declared kind, which are not.
-_SMALL, _LARGE, _MUCH_SMALLER = 0.05, 0.06, 0.4
+_SMALL, _LARGE, _MUCH_SMALLER = 0.06, 0.08, 0.4
+# Relative errors of depth count as at most this much: some points are triangulated wrongly.
+_LARGEST = 0.3
 # Without a shift, errors may be this much larger than with one.
 _AS_GOOD, _SAME = 1.2, 0.005
 _ROUNDS = 12
@@ -59,16 +62,18 @@ class _Relation:
     shift: bool
     kind: DepthKind | None
 
-    def errors(self, values: Array, depths: Array) -> Array:
-        """Relative errors [N] of the depths that follow from values, with the best parameters."""
-        x = self.forward(depths)
-        scale, shift = _robust_line(x, values, self.shift)
+    def error(self, values: Array, depths: Array) -> float:
+        """Mean relative error of the depths that follow from values, with the best parameters.
+
+        An error counts as at most `_LARGEST`.
+        """
+        scale, shift = _robust_line(self.forward(depths), values, self.shift)
         if not scale > 0.0:
-            return np.full(len(values), np.inf)
+            return _LARGEST
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             found = self.inverse((values - shift) / scale)
             errors = np.abs(found / depths - 1.0)
-        return np.where((found > 0) & np.isfinite(errors), errors, np.inf)
+        return float(np.where((found > 0) & (errors < _LARGEST), errors, _LARGEST).mean())
 
 
 _RELATIONS = (
@@ -103,17 +108,15 @@ def prior_doubt(
         return None
     kind = priors[0].kind
     own = np.array([_agreement(kind, *samples[n]) for n in judged])
-    errors = np.array(
-        [[float(np.median(r.errors(*samples[n]))) for r in _RELATIONS] for n in judged]
-    )
-    typical = np.minimum(np.median(errors, axis=0), 1.0)
+    errors = [[relation.error(*samples[n]) for relation in _RELATIONS] for n in judged]
+    typical = np.median(errors, axis=0)
     if np.median(own) < _OPPOSITE and (own < 0.0).mean() >= _MOST:
         found = _best(typical, not kind.inverse)
         return _declared_wrongly(kind, found, option)
     foreign = _foreign(kind, [priors[n] for n in judged], [known[n] for n in judged], own)
     if foreign or np.median(own) < _NONE or (own < _NEGATIVE).mean() >= _SOME:
         return (
-            f"the depth priors contradict the motion of the camera (rank correlation with the "
+            f"the depth priors contradict the motion of the camera (correlation with the "
             f"depths of its points {np.median(own):.2f}){foreign}; check that the maps belong to "
             f"these images"
         )
@@ -166,14 +169,21 @@ def _with_values(prior: DepthPrior, values: NDArray[np.float32]) -> DepthPrior:
 def _is_enough(depths: Array) -> bool:
     if len(depths) < _MIN_POINTS:
         return False
-    return float(np.median(np.abs(np.median(depths) / depths - 1.0))) > _MIN_SPREAD
+    near, far = np.percentile(depths, [10.0, 90.0])
+    return bool(far > _MIN_RANGE * near)
 
 
 def _agreement(kind: DepthKind, values: Array, depths: Array) -> float:
-    """Rank correlation of values and depths, in the direction of the kind; 0 if undefined."""
-    if len(values) < _MIN_POINTS or np.ptp(values) == 0.0:
+    """Correlation of values and depths, in the direction of the kind; 0 if it is undefined.
+
+    The highest and lowest values and depths count as less extreme ones (winsorised).
+    """
+    if len(values) < _MIN_POINTS:
         return 0.0
-    correlation = float(np.corrcoef(rankdata(values), rankdata(depths))[0, 1])
+    pair = [np.clip(each, *np.percentile(each, _EXTREME)) for each in (values, np.log(depths))]
+    if min(np.ptp(each) for each in pair) == 0.0:
+        return 0.0
+    correlation = float(np.corrcoef(*pair)[0, 1])
     return -correlation if kind.inverse else correlation
 
 
