@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import cv2
@@ -23,13 +24,17 @@ FRAMES = 8
 Change = Callable[[SmallView], SmallView]
 
 
+@cache
+def painting() -> Image:
+    painted = np.random.default_rng(3).random((80, 200, 3)).astype(np.float32)
+    painted = np.asarray(cv2.GaussianBlur(painted, (0, 0), 2.0))
+    return np.asarray((painted - painted.min()) / np.ptp(painted))
+
+
 def wall(shift_px: float = 0.0) -> Image:
     """An image of a painted wall, seen from farther to the right."""
-    painted = np.random.default_rng(3).random((80, 200, 3)).astype(np.float32)
-    painted = cv2.GaussianBlur(painted, (0, 0), 2.0)
-    painted = (painted - painted.min()) / np.ptp(painted)
     move = np.array([[1.0, 0.0, -20.0 - shift_px], [0.0, 1.0, -8.0]], np.float32)
-    return np.asarray(cv2.warpAffine(painted, move, CAMERA.size, flags=cv2.INTER_CUBIC))
+    return np.asarray(cv2.warpAffine(painting(), move, CAMERA.size, flags=cv2.INTER_CUBIC))
 
 
 @dataclass
@@ -122,6 +127,12 @@ def test_given_poses_and_doubtful_frames_are_reasons() -> None:
     }
     _, reasons = shortfall_warnings(found)
     assert "order: 5 of 8 frames are doubtful or lost; given poses" in reasons
+
+
+def test_skipped_steps_and_baselines_are_reasons() -> None:
+    found = metrics(beside) | {"pace": {"mapping_steps_skipped": 40, "mapping_steps_due": 100}}
+    _, reasons = shortfall_warnings(found, baseline=True)
+    assert "order: the methods of a baseline (tracking.kind); steps of the optimisation" in reasons
 
 
 def test_unmodelled_exposure_is_named() -> None:

@@ -86,7 +86,7 @@ def main(options: EvaluateOptions) -> int:
     judged = (
         *ate_warnings(metrics),
         *truth_lines(new_metrics["trajectory"]),
-        *shortfall_warnings(metrics),
+        *shortfall_warnings(metrics, baseline=run.settings.tracking.kind != "dense"),
     )
     for line in (*judged, *part_lines(run.states, run.parts)):
         print(line)

@@ -26,11 +26,13 @@ _MIN_VIEWS = 4
 # 8 dB and more.
 _FAR_BELOW_DB = 6.0
 # Errors in depth that are reported: relative to those between neighbouring frames, and to the
-# depth. Right maps have at most 1.2 times the former, wrong ones 1.9 to 3 times.
-_FAR_ABOVE, _LEAST_DEPTH = 2.0, 0.005
+# depth. Right maps have at most 1.2 times the former, wrong ones 1.7 to 3 times.
+_FAR_ABOVE, _LEAST_DEPTH = 1.6, 0.005
 # What counts as a sign of a reason: dB that an exposure per view would gain, pixels between map and
 # image, share of displaced pixels where most are in place, share of doubtful frames.
 _EXPOSURE_DB, _OFFSET_PX, _DISPLACED, _DOUBTFUL = 2.0, 0.25, 0.1, 0.2
+# Share of the optimisation steps that a run in real time skipped.
+_SKIPPED = 0.3
 _MAX_REASONS = 4
 
 _CONVENTION = (
@@ -72,12 +74,15 @@ def expected_metrics(views: Sequence[SmallView], dataset: Dataset) -> dict[str, 
 _DEPTHS = ("map_depth", "image_depth")
 
 
-def shortfall_warnings(metrics: Mapping[str, Any], reported: bool = False) -> list[str]:
+def shortfall_warnings(
+    metrics: Mapping[str, Any], reported: bool = False, baseline: bool = False
+) -> list[str]:
     """Warn of a map that is far worse than its images allow, with likely reasons in order.
 
     Args:
         metrics: of a run.
         reported: whether checks of the recording found something, which is reported before.
+        baseline: whether the map is that of a baseline.
     """
     found = metrics["expected"]
     if found["views"] < _MIN_VIEWS:
@@ -96,7 +101,8 @@ def shortfall_warnings(metrics: Mapping[str, Any], reported: bool = False) -> li
         )
     if not comparisons:
         return []
-    likely = list(_reasons(metrics, reported))[:_MAX_REASONS]
+    own = ["the methods of a baseline (tracking.kind)"] if baseline else []
+    likely = [*own, *_reasons(metrics, reported)][:_MAX_REASONS]
     advice = "" if reported else "; semsplat check-data examines the recording"
     return [
         f"The map is worse than its images allow: {'; '.join(comparisons)}.",
@@ -114,6 +120,9 @@ def _reasons(metrics: Mapping[str, Any], reported: bool) -> Iterator[str]:
     doubtful = frames.get("doubtful", 0) + frames.get("lost", 0)
     if doubtful > _DOUBTFUL * frames.get("total", math.inf):
         yield f"{doubtful} of {frames['total']} frames are doubtful or lost"
+    pace = metrics.get("pace", {})
+    if pace.get("mapping_steps_skipped", 0) > _SKIPPED * pace.get("mapping_steps_due", 0):
+        yield "steps of the optimisation that were skipped (--pace)"
     if found["exposure_gain_db"] > _EXPOSURE_DB:
         yield f"changes of exposure that are not modelled ({found['exposure_gain_db']:.1f} dB)"
     in_place = found["offset_px"] < _OFFSET_PX

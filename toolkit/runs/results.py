@@ -170,7 +170,7 @@ def write_results(
         *(*record.findings, *summary_lines(states, parts), *ate_warnings(metrics)),
         *(*truth_lines(metrics["trajectory"]), *result.label_agreement.findings, *names.notes),
         *_motion_doubts(record),
-        *shortfall_warnings(metrics, reported=bool(record.findings)),
+        *shortfall_warnings(metrics, bool(record.findings), settings.tracking.kind != "dense"),
     ]
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, compared, folder, names)
