@@ -132,7 +132,7 @@ def test_given_poses_and_doubtful_frames_are_reasons() -> None:
 def test_skipped_steps_and_baselines_are_reasons() -> None:
     found = metrics(beside) | {"pace": {"mapping_steps_skipped": 40, "mapping_steps_due": 100}}
     _, reasons = shortfall_warnings(found, baseline=True)
-    assert "order: the methods of a baseline (tracking.kind); steps of the optimisation" in reasons
+    assert "order: the methods of a baseline (tracking.kind); frames or steps of the opt" in reasons
 
 
 def test_unmodelled_exposure_is_named() -> None:

@@ -113,6 +113,10 @@ def shortfall_warnings(
 def _reasons(metrics: Mapping[str, Any], reported: bool) -> Iterator[str]:
     """What may be wrong, the most likely first."""
     found, frames = metrics["expected"], metrics.get("frames", {})
+    pace = metrics.get("pace", {})
+    skipped = pace.get("mapping_steps_skipped", 0) > _SKIPPED * pace.get("mapping_steps_due", 0)
+    if skipped or pace.get("frames_dropped"):
+        yield "frames or steps of the optimisation that were skipped (--pace)"
     if reported:
         yield "what the checks of the recording report above"
     if not metrics.get("monocular", {}).get("reliable", True):
@@ -120,9 +124,6 @@ def _reasons(metrics: Mapping[str, Any], reported: bool) -> Iterator[str]:
     doubtful = frames.get("doubtful", 0) + frames.get("lost", 0)
     if doubtful > _DOUBTFUL * frames.get("total", math.inf):
         yield f"{doubtful} of {frames['total']} frames are doubtful or lost"
-    pace = metrics.get("pace", {})
-    if pace.get("mapping_steps_skipped", 0) > _SKIPPED * pace.get("mapping_steps_due", 0):
-        yield "steps of the optimisation that were skipped (--pace)"
     if found["exposure_gain_db"] > _EXPOSURE_DB:
         yield f"changes of exposure that are not modelled ({found['exposure_gain_db']:.1f} dB)"
     in_place = found["offset_px"] < _OFFSET_PX
