@@ -157,6 +157,15 @@ def test_pixels_without_depth_and_ignored_ones_do_not_count() -> None:
     assert shortfall_warnings(metrics(partly)) == []
 
 
+def test_images_that_are_too_small_for_flow_are_not_compared() -> None:
+    def low(view: SmallView) -> SmallView:
+        camera = replace(CAMERA, height=8)
+        images = {n: vars(view)[n][:8] for n in ("rgb", "map_rgb", "map_depth", "compared")}
+        return replace(view, camera=camera, depth_m=None, **images)
+
+    assert metrics(low)["expected"]["views"] == 0
+
+
 def test_too_few_views_are_not_judged() -> None:
     dataset = Wall()
     views = [beside(right_view(dataset[index])) for index in range(3)]

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# Longer side of the compared images, in pixels.
-SIDE_PX = 160
+# Longer side of the compared images, in pixels, and the smallest shorter side that flow needs.
+SIDE_PX, _MIN_SIDE_PX = 160, 16
 # Flow there and back again must return this near, in pixels; it does not where a surface is hidden
 # in the other image.
 _MAX_RETURN_PX = 1.0
@@ -122,7 +122,7 @@ def compare(view: SmallView, neighbours: Iterable[Frame]) -> ViewComparison | No
     Returns:
         Means over the neighbours; None if none of them shows enough of the view.
     """
-    if view.compared.mean() < _MIN_KNOWN:
+    if min(view.camera.size) < _MIN_SIDE_PX or view.compared.mean() < _MIN_KNOWN:
         return None
     moved, known = _flow(view.rgb, view.map_rgb)
     distances = np.linalg.norm(moved - _grid(*view.camera.size), axis=-1)
