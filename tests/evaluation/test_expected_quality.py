@@ -98,6 +98,12 @@ def test_a_right_map_is_as_good_as_neighbouring_images(noise: float) -> None:
     assert shortfall_warnings(found) == []
 
 
+@pytest.mark.parametrize(("wrong", "reported"), [(3, False), (7, True)])
+def test_most_views_must_be_worse(wrong: int, reported: bool) -> None:
+    found = metrics(lambda view: beside(view) if view.index < wrong else view)
+    assert bool(shortfall_warnings(found)) is reported
+
+
 def test_noise_lowers_what_is_expected() -> None:
     low, high = (metrics(dataset=Wall(noise))["expected"]["expected_db"] for noise in (0.0, 0.05))
     # The noise of both images: 20 log10(0.05 sqrt(2)).
