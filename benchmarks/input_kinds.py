@@ -225,6 +225,14 @@ def _with_a_jump(folder: Path) -> None:
     write_tum(folder / "trajectory.txt", Trajectory(np.arange(FRAMES) / _FPS, poses))
 
 
+def _with_inverse_priors(folder: Path) -> None:
+    """Write depth priors of inverse depth."""
+    (folder / "priors").mkdir()
+    for frame in tiny_room(FRAMES, WIDTH, HEIGHT)[0]:
+        inverse = 1.0 / np.maximum(frame.depth_m, 0.1)
+        np.save(folder / "priors" / f"{frame.index:06d}.npy", inverse.astype(np.float32))
+
+
 def _translated(T: Array) -> Array:
     moved = np.array(T)
     moved[:3, 3] += UTM_M
@@ -235,6 +243,10 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _UNITY = np.diag([1.0, -1.0, 1.0, 1.0])
 _RUN = Kind.job
 _GIVEN = (*_RUN, "--poses", "given")
+_PRIORS = (
+    *(*_RUN, "--depth", "none", "--depth-prior.use", "correct", "--depth-prior.kind", "maps"),
+    *("--depth-prior.maps.folder", "FOLDER/priors", "--depth-prior.maps.values"),
+)
 _CHECK = ("check-data", "--kind", "folder", "--path", "FOLDER")
 
 KINDS: Mapping[str, Kind] = {
@@ -297,6 +309,15 @@ KINDS: Mapping[str, Kind] = {
         RoomChange(has_depth=False),
         after=_every_third,
         job=(*_GIVEN, "--depth", "none"),
+    ),
+    "inverse depth priors, declared as metric": Kind(
+        "names the kind", RoomChange(has_depth=False), _with_inverse_priors, (*_PRIORS, "metric")
+    ),
+    "inverse depth priors, declared as that": Kind(
+        "a good map",
+        RoomChange(has_depth=False),
+        _with_inverse_priors,
+        (*_PRIORS, "affine-inverse"),
     ),
     "a splat file of another format": Kind(
         "stops, names the formats",

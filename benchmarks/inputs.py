@@ -30,7 +30,8 @@ DESCRIPTION = """\
 A synthetic room ({frames} frames, 160x120) in the form of each kind of recording, given to the
 commit {commit} (before) and to this one (now). Good maps have the PSNR of their mapped views, the
 ATE relative to the size of the scene, and lost frames; otherwise, the last line of the message.
-"reported" marks runs that report a defect of the data."""
+"reported" marks runs that report a defect of the data, "worse than its images allow" those that
+say so of the map."""
 _MAX_MESSAGE = 160
 
 
@@ -103,9 +104,11 @@ def _map_line(metrics: Mapping[str, Any], kind: Kind, log: str) -> str:
         "interpolated",
         "jump",
         "refined",
+        "declared as",
     )
     reported = ", reported" if any(word in log for word in words) else ""
-    return f"{psnr}{ate}, {lost} lost or doubtful{reported}"
+    worse = ", worse than its images allow" if "worse than its images" in log else ""
+    return f"{psnr}{ate}, {lost} lost or doubtful{reported}{worse}"
 
 
 if __name__ == "__main__":

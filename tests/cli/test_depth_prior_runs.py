@@ -59,10 +59,22 @@ def test_corrected_priors_replace_the_depth_of_keyframes(recording, tmp_path):
     assert metrics["depth_prior"]["inferred_percent"] == 100.0
     assert metrics["frames"]["lost"] == 0
     assert metrics["images"]["mapped"]["psnr_db"] > 20.0
+    assert metrics["monocular"]["reliable"]
     again = run(recording, tmp_path / "again", *words)
     assert again["images"]["mapped"]["psnr_db"] == metrics["images"]["mapped"]["psnr_db"]
     for name in ("trajectory.txt", "map.ply"):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+
+
+def test_priors_declared_as_another_kind_make_the_run_unreliable(recording, tmp_path, caplog):
+    words = ["--depth-prior.maps.values", "affine-inverse", "--max-frames", "8"]
+    metrics = run(recording, tmp_path / "run", *words)
+    assert not metrics["monocular"]["reliable"]
+    assert "shows that they are depth up to scale" in metrics["monocular"]["doubts"]
+    last = [record.getMessage() for record in caplog.records][-4:]
+    assert any(
+        f"not reliable: the depth priors are declared as {words[1]}" in line for line in last
+    )
 
 
 def test_a_prior_needs_a_recording_without_depth(recording, tmp_path, capsys):

@@ -9,6 +9,7 @@ from typing import Any
 
 from toolkit.cli.programs import EvaluateOptions
 from toolkit.errors import FormatError
+from toolkit.evaluation.expected_quality import shortfall_warnings
 from toolkit.evaluation.frame_states import part_lines
 from toolkit.evaluation.metrics import (
     Metrics,
@@ -82,7 +83,11 @@ def main(options: EvaluateOptions) -> int:
     with_mesh = "mesh" in new_metrics
     for key in _PRINTED + _PRINTED_MESH * with_mesh + _PRINTED_SUBSET * evaluation.subset:
         print(f"{key:<42}{_format(values.get(key))}{_share(key, values)}")
-    judged = *ate_warnings(metrics), *truth_lines(new_metrics["trajectory"])
+    judged = (
+        *ate_warnings(metrics),
+        *truth_lines(new_metrics["trajectory"]),
+        *shortfall_warnings(metrics, baseline=run.settings.tracking.kind != "dense"),
+    )
     for line in (*judged, *part_lines(run.states, run.parts)):
         print(line)
     for key, value in values.items():

@@ -8,7 +8,7 @@ that the keyframes around agree with is kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -50,12 +50,24 @@ class SweptKeyframe:
         frame: index of its image.
         T_world_camera: [4, 4].
         near, far: depths of its nearest and farthest known points.
+        points: [N, 3] column and row in pixels, and depth, of points that were triangulated.
     """
 
     frame: int
     T_world_camera: Array
     near: float
     far: float
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def scaled(self, T_world_camera: Array, factor: float) -> SweptKeyframe:
+        """The same keyframe in a unit of length that is `factor` times as short.
+
+        Args:
+            T_world_camera: [4, 4] in this unit.
+        """
+        points = self.points * [1.0, 1.0, factor]
+        near, far = factor * self.near, factor * self.far
+        return SweptKeyframe(self.frame, T_world_camera, near, far, points)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import ToolkitError
+from toolkit.evaluation.expected_quality import MAX_COMPARED_VIEWS, expected_metrics
 from toolkit.evaluation.free_space import free_space_metrics
 from toolkit.evaluation.images import psnr_db
 from toolkit.evaluation.lpips import Lpips
@@ -31,6 +32,13 @@ from toolkit.evaluation.metrics import (
     trajectory_metrics,
     view_quality,
 )
+from toolkit.evaluation.neighbouring_images import SmallView
+from toolkit.evaluation.rendered_views import (
+    MIN_SILHOUETTE,
+    EvaluatedView,
+    RenderedView,
+    render_view,
+)
 from toolkit.evaluation.semantic_views import SemanticEvaluation, SemanticScores, semantic_metrics
 from toolkit.evaluation.trajectory import (
     AlignmentKind,
@@ -38,24 +46,20 @@ from toolkit.evaluation.trajectory import (
     absolute_trajectory_error,
 )
 from toolkit.evaluation.walls import wall_thickness
-from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
-from toolkit.frame import Frame
+from toolkit.exposure import IDENTITY, Exposure
 from toolkit.gaussians.scene import GaussianScene
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.mapping.depth_views import DepthImage, DepthView
-from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.rolling_shutter import as_exposed, rectified, steady_velocity
+from toolkit.tracking.rolling_shutter import rectified, steady_velocity
 
 _log = logging.getLogger(__name__)
 
-# Minimum silhouette (0-1) of rendered pixels whose depth is evaluated.
-_MIN_SILHOUETTE = 0.5
 _DEPTH_CONVENTION = (
     "mean over views of the mean over pixels with measured and rendered depth; rendered depth: "
     "where the ray meets the surface through the weighted mean of centres, in pixels with "
-    f"silhouette at least {_MIN_SILHOUETTE}"
+    f"silhouette at least {MIN_SILHOUETTE}"
 )
 
 
@@ -79,24 +83,6 @@ class TrackedFrame:
 
 
 @dataclass(frozen=True)
-class EvaluatedView:
-    """A frame, its pose, and its exposure against the map.
-
-    Attributes:
-        velocity: [6] m/s and rad/s of the camera in its own frame; None if it is not known.
-    """
-
-    frame: Frame
-    T_map_camera: NDArray[np.float64]
-    exposure: Exposure = IDENTITY
-    velocity: NDArray[np.float64] | None = None
-
-    def rectified(self) -> Frame:
-        """The frame without the effect of its rolling shutter."""
-        return rectified(self.frame, self.velocity)
-
-
-@dataclass(frozen=True)
 class MeasureOptions:
     """Options of the evaluation of a run.
 
@@ -109,6 +95,7 @@ class MeasureOptions:
         semantics: decoder and class names, None for a map without semantics.
         mesh: file of the ground-truth mesh in the frame of the ground truth, or None.
         lpips: network of LPIPS, or None without its weights.
+        uses_depth: whether the map follows from measured depth.
     """
 
     backend_name: str = "auto"
@@ -117,6 +104,7 @@ class MeasureOptions:
     semantics: SemanticEvaluation | None = None
     mesh: Path | None = None
     lpips: Lpips | None = None
+    uses_depth: bool = True
 
 
 def measure_run(
@@ -136,10 +124,10 @@ def measure_run(
         options: evaluation options; defaults if absent.
 
     Returns:
-        The groups "trajectory", "images", "depth", "semantics" and "map"; None for metrics that
-        are not available. Groups of views are "mapped"; "unseen", the held-out frames at their
-        tracked poses and the views of `unseen` at ground-truth poses transformed into the map; and
-        "unseen_refined", the same views with each pose refined on the final map.
+        The groups "trajectory", "images", "depth", "expected", "semantics" and "map"; None for
+        metrics that are not available. Groups of views are "mapped"; "unseen", the held-out frames
+        at their tracked poses and the views of `unseen` at ground-truth poses transformed into the
+        map; and "unseen_refined", the same views with each pose refined on the final map.
 
     Raises:
         DatasetError: a frame cannot be read, or no estimated pose can be associated with the
@@ -159,13 +147,21 @@ def measure_run(
     alignment = map_alignment(estimate, truth, options.alignment)
     scale = 1.0 if alignment is None else alignment.scale
 
-    def measure(group: str, view: EvaluatedView) -> None:
+    def measure(group: str, view: EvaluatedView) -> RenderedView | None:
         if view.frame.ignored is not None and view.frame.ignored.all():
-            return  # nothing can be compared
-        qualities[group].append(_quality(scene, view, options, scores[group], scale))
+            return None  # nothing can be compared
+        features = scores[group].needs_features
+        rendered = render_view(scene, view, options.backend_name, features, scale)
+        scores[group].add(view.rectified() if features else view.frame, rendered.surface)
+        qualities[group].append(_quality(rendered, options.lpips))
+        return rendered
 
-    for view in _tracked_views(mapped, tracked, dataset, options.max_views):
-        measure("mapped", view)
+    small_views: list[SmallView] = []
+    compared = _evenly_spaced(min(len(mapped), options.max_views), MAX_COMPARED_VIEWS)
+    for place, view in enumerate(_tracked_views(mapped, tracked, dataset, options.max_views)):
+        rendered = measure("mapped", view)
+        if rendered is not None and place in compared:
+            small_views.append(SmallView.of(rendered, scale, options.uses_depth))
     depth_views: list[DepthView] = []
     tracker = DenseTracker(backend_name=options.backend_name)
     seen = _tracked_views(held_out, tracked, dataset, options.max_views)
@@ -181,6 +177,7 @@ def measure_run(
         "trajectory": trajectory_metrics(estimate, truth, options.alignment),
         "images": images | {"conventions": IMAGE_CONVENTIONS | _view_conventions(options)},
         "depth": depth | {"convention": _DEPTH_CONVENTION},
+        "expected": expected_metrics(small_views, dataset),
         **semantic_metrics(scores, options.semantics),
         "map": {
             "gaussians": len(scene),
@@ -306,33 +303,8 @@ def _refined(
     return replace(view, T_map_camera=result.T_map_camera, exposure=exposure)
 
 
-def _quality(
-    scene: GaussianScene,
-    view: EvaluatedView,
-    options: MeasureOptions,
-    scores: SemanticScores,
-    scale: float,
-) -> ViewQuality:
-    camera, T_camera_map = view.frame.camera, se3.inverse(view.T_map_camera)
-    gaussians = scene.visible_from(camera, view.T_map_camera)
-    render_options = RenderOptions(_MIN_SILHOUETTE, features=scores.needs_features)
-    renderer = backend(options.backend_name)
-    rendered = render_surface(renderer, gaussians, camera, T_camera_map, render_options)
-    scores.add(view.rectified() if scores.needs_features else view.frame, rendered)
-    # Apply the exposure to the rendered image, so that the observed image is not changed.
-    reference, exposure = rendered.output.colour.numpy(), view.exposure
-    colour, one_gain = (
-        one.undo(reference).clip(0.0, 1.0).astype(np.float32)
-        for one in (exposure, exposure.with_balance(NEUTRAL))
-    )
-    depth_m = np.float32(scale) * rendered.depth_m.numpy()
-    # The sensor's images are not changed: the rendering is exposed like them.
-    (colour, depth_m), (one_gain, _) = (
-        as_exposed(image, depth_m, view.frame, view.velocity) for image in (colour, one_gain)
-    )
-    ignored = view.frame.ignored
-    quality = view_quality(
-        (colour, depth_m), (view.frame.rgb, view.frame.depth_m), options.lpips, ignored
-    )
-    one_gain_db = psnr_db(one_gain, view.frame.rgb, ignored)
-    return replace(quality, psnr_one_gain_db=one_gain_db)
+def _quality(rendered: RenderedView, lpips: Lpips | None) -> ViewQuality:
+    frame = rendered.view.frame
+    found = (rendered.colour, rendered.depth_m)
+    quality = view_quality(found, (frame.rgb, frame.depth_m), lpips, frame.ignored)
+    return replace(quality, psnr_one_gain_db=psnr_db(rendered.one_gain, frame.rgb, frame.ignored))

@@ -79,9 +79,9 @@ def motion_of_given_poses(
     _check(camera, pairs, agreement)
     views = []
     for number in sorted(greys):
-        depths = [p.depths(camera) for p in pairs if p.first == number]
-        depths += [p.swapped().depths(camera) for p in pairs if p.second == number]
-        known = np.concatenate([np.zeros(0), *depths])
+        points = [p.known_points(camera) for p in pairs if p.first == number]
+        points += [p.swapped().known_points(camera) for p in pairs if p.second == number]
+        known = np.concatenate([np.zeros((0, 3)), *points])
         view = swept_keyframe(indices[number], poses[number], known)
         if view is not None:
             views.append(view)
@@ -132,8 +132,11 @@ class _Pair:
             self.second, self.first, self.second_px, self.first_px, self.T_second, self.T_first
         )
 
-    def depths(self, camera: Camera) -> Array:
-        """Depths in the first frame of the points that agree with the poses, with parallax."""
+    def known_points(self, camera: Camera) -> Array:
+        """Pixels and depths [N, 3] in the first frame of points with parallax.
+
+        They agree with the poses.
+        """
         T_second_first = se3.inverse(self.T_second) @ self.T_first
         inverse, good = _triangulated(camera, self, T_second_first)
         good &= inverse > 0
@@ -145,7 +148,7 @@ class _Pair:
             np.linalg.norm(points, axis=1) * np.linalg.norm(to_second, axis=1), 1e-12
         )
         good &= np.arccos(np.clip(cosine, -1.0, 1.0)) > _MIN_PARALLAX_RAD
-        return 1.0 / inverse[good]
+        return np.column_stack([self.first_px[good], 1.0 / inverse[good]])
 
 
 def _triangulated(

@@ -311,22 +311,22 @@ def _depth_views(sparse_map: SparseMap) -> tuple[list[SweptKeyframe], list[float
     """Views whose depth can be estimated, and their median depths."""
     views, depths = [], []
     for number, view in enumerate(sparse_map.views):
-        depth = sparse_map.landmark_depths(number)
-        swept = swept_keyframe(view.frame, view.T_world_camera, depth)
+        points = sparse_map.landmarks_of(number)
+        swept = swept_keyframe(view.frame, view.T_world_camera, points)
         if swept is not None:
             views.append(swept)
-            depths.append(float(np.median(depth)))
+            depths.append(float(np.median(points[:, 2])))
     return views, depths
 
 
 def swept_keyframe(
-    frame: int, T_world_camera: NDArray[np.float64], depths: NDArray[np.float64]
+    frame: int, T_world_camera: NDArray[np.float64], points: NDArray[np.float64]
 ) -> SweptKeyframe | None:
-    """A view with the range of the depths [N] of its known points; None with too few."""
-    if len(depths) < _MIN_LANDMARKS:
+    """A view with its known points [N, 3] (pixel and depth) and their range; None with too few."""
+    if len(points) < _MIN_LANDMARKS:
         return None
-    near, far = np.percentile(depths, [_NEAR_PERCENT, _FAR_PERCENT])
-    return SweptKeyframe(frame, T_world_camera, float(near), float(far))
+    near, far = np.percentile(points[:, 2], [_NEAR_PERCENT, _FAR_PERCENT])
+    return SweptKeyframe(frame, T_world_camera, float(near), float(far), points)
 
 
 def doubts_about(motion: CameraMotion) -> list[str]:

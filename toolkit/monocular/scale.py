@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.levels import intensity_of
 from toolkit.datasets.base import Dataset
-from toolkit.depth_priors.multi_view import MultiViewDepth, SweptKeyframe
+from toolkit.depth_priors.multi_view import MultiViewDepth
 from toolkit.errors import SettingsError
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
@@ -121,10 +121,7 @@ def scaled(motion: CameraMotion, factor: float) -> CameraMotion:
         return T
 
     trajectory = Trajectory(motion.trajectory.timestamps_s, grown(motion.trajectory.T_world_camera))
-    views = [
-        SweptKeyframe(v.frame, grown(v.T_world_camera), factor * v.near, factor * v.far)
-        for v in motion.views
-    ]
+    views = [v.scaled(grown(v.T_world_camera), factor) for v in motion.views]
     return replace(motion, trajectory=trajectory, views=views)
 
 

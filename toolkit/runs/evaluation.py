@@ -183,6 +183,7 @@ def evaluate_scene(
         semantics,
         true_mesh(settings),
         lpips,
+        mode_of(settings).needs_depth,
     )
     return measure_run(scene, tracked, dataset, unseen, options)
 

@@ -31,7 +31,7 @@ from toolkit.monocular.motion import CameraMotion
 from toolkit.monocular.options import ScaleOptions
 from toolkit.monocular.sequence import MonocularSequence, prior_correction
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.motion import estimated_motion, motion_at_given_poses
+from toolkit.runs.motion import estimated_motion, motion_at_given_poses, with_prior_doubts
 from toolkit.runs.observers import Progress
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.codes import SemanticCode
@@ -253,6 +253,8 @@ class ImagesAlone(RunMode):
             motion = self._motion(run)
         if not motion.views:
             return RunInput(run.dataset, motion)
+        if run.provider is not None:
+            motion = with_prior_doubts(motion, run.dataset, run.provider, run.settings)
         sequence = MonocularSequence(run.dataset, motion, run.provider, run.settings.depth_prior)
         return RunInput(sequence, motion, sequence.correction())
 

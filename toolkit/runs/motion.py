@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
+from dataclasses import replace
 
 from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.images_only import ImagesOnly
+from toolkit.depth_priors.provider import DepthProvider
 from toolkit.errors import DatasetError
 from toolkit.frame import Frame
 from toolkit.monocular.given import motion_of_given_poses
 from toolkit.monocular.motion import FOCAL_ROUNDS, CameraMotion, estimate_motion
+from toolkit.monocular.prior_check import doubt_about_priors
 from toolkit.monocular.scale import with_metric_scale
 from toolkit.runs.expected_time import with_expected_motion_time
 from toolkit.runs.observers import Progress
@@ -71,6 +75,21 @@ def estimated_motion(
     if motion.doubts and dataset.ground_truth is not None and calibrated:
         _log.warning("The dataset has poses; --poses given uses them instead.")
     return motion
+
+
+def with_prior_doubts(
+    motion: CameraMotion, dataset: RecordedDataset, provider: DepthProvider, settings: RunSettings
+) -> CameraMotion:
+    """Compare depth priors with the points of a motion; log what contradicts it."""
+    options = settings.depth_prior
+    option = {"maps": "--depth-prior.maps.values", "transformers": "--depth-prior.model.values"}
+    doubt = doubt_about_priors(
+        motion, ImagesOnly(dataset, motion.camera), provider, options, option.get(options.kind)
+    )
+    if doubt is None:
+        return motion
+    _log.warning("The result is not reliable: %s.", doubt)
+    return replace(motion, doubts=[*motion.doubts, doubt])
 
 
 def motion_at_given_poses(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from toolkit import __version__
 from toolkit.datasets.base import Dataset
+from toolkit.evaluation.expected_quality import shortfall_warnings
 from toolkit.evaluation.frame_costs import FrameCosts, gaussian_bytes, peak_memory_mb
 from toolkit.evaluation.frame_states import (
     frame_metrics,
@@ -168,6 +169,8 @@ def write_results(
     summary = [
         *(*record.findings, *summary_lines(states, parts), *ate_warnings(metrics)),
         *(*truth_lines(metrics["trajectory"]), *result.label_agreement.findings, *names.notes),
+        *_motion_doubts(record),
+        *shortfall_warnings(metrics, bool(record.findings), settings.tracking.kind != "dense"),
     ]
     final = _FinalMap(scene, result.semantics, result.taxonomy, settings.backend)
     views = _render_views(final, tracked, compared, folder, names)
@@ -250,6 +253,12 @@ def _mode_metrics(record: RunRecord) -> Metrics:
     if record.prior is not None:
         metrics["depth_prior"] = record.prior.metrics()
     return metrics
+
+
+def _motion_doubts(record: RunRecord) -> list[str]:
+    """What makes the motion of a run without depth unreliable, a line each."""
+    doubts = [] if record.motion is None else record.motion.doubts
+    return [f"The result is not reliable: {doubt}." for doubt in doubts]
 
 
 def _label_metrics(agreement: LabelAgreement) -> Metrics:

@@ -86,12 +86,13 @@ class SparseMap:
         share = (frame - view.frame) / (following.frame - view.frame)
         return view.T_world_camera @ T_view_camera @ se3.exp(share * change)
 
-    def landmark_depths(self, number: int) -> Array:
-        """Depths [N] > 0 of the landmarks that a view shows."""
+    def landmarks_of(self, number: int) -> Array:
+        """Column and row in pixels, and depth > 0 [N, 3], of the landmarks that a view shows."""
         view = self.views[number]
-        ids = view.features.ids[self.table.measured[view.features.ids]]
-        z = se3.transform_points(se3.inverse(view.T_world_camera), self.points(ids))[:, 2]
-        return np.asarray(z[z > 0])
+        measured = self.table.measured[view.features.ids]
+        points = self.points(view.features.ids[measured])
+        z = se3.transform_points(se3.inverse(view.T_world_camera), points)[:, 2]
+        return np.column_stack([view.features.px[measured], z])[z > 0]
 
     def points(self, ids: NDArray[np.int64]) -> Array:
         """Positions [N, 3] of landmarks in the world."""
