@@ -26,6 +26,7 @@ from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
 from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.image_side import find_side
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import locked
 from toolkit.runs.modes import RunContext, RunMode, mode_of
@@ -106,7 +107,9 @@ def _execute(
     observers: Observers,
 ) -> None:
     mode, recorder = mode_of(settings), StageRecorder()
-    findings = mode.findings(dataset, settings)
+    up = find_side(dataset, settings, mode.needs_depth)
+    settings = up.chosen(settings)
+    findings = (*mode.findings(dataset, settings), *up.findings)
     # Missing weights are reported before the motion is estimated.
     provider = build_provider(settings.depth_prior, dataset.stems, dataset.recording.camera)
     with logged_to(folder.log):
