@@ -9,6 +9,7 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.findings import readable_frames
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registration_check import evenly_spaced_frames
+from toolkit.errors import DependencyError
 from toolkit.geometry.image_sides import ImageSide, nearest_side
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
@@ -45,19 +46,13 @@ def find_side(dataset: RecordedDataset, settings: RunSettings, has_depth: bool) 
 
     Args:
         has_depth: whether the run uses the depth of the recording; otherwise, only the options and
-            gravity count.
-
-    Raises:
-        DependencyError: Open3D cannot be loaded.
+            gravity count, as without Open3D.
     """
     if settings.dataset.up != "auto":
         return FoundSide(settings.dataset.up)
     judgement = _by_gravity(dataset)
     if judgement is None:
-        if not has_depth:
-            return FoundSide("top")
-        indices = evenly_spaced_frames(len(dataset), _FRAMES)
-        judgement = judge_side(readable_frames(dataset, indices))
+        judgement = _by_depth(dataset) if has_depth else SideJudgement("top")
     if judgement.side != "top":
         _log.info(
             "%s: the %s of the images is up; --dataset.up states another side.",
@@ -75,6 +70,14 @@ def _by_gravity(dataset: RecordedDataset) -> SideJudgement | None:
     if up is None or truth is None or not len(truth):
         return None
     return SideJudgement(nearest_side(up @ truth.T_world_camera[:, :3, :3]))
+
+
+def _by_depth(dataset: RecordedDataset) -> SideJudgement:
+    indices = evenly_spaced_frames(len(dataset), _FRAMES)
+    try:
+        return judge_side(readable_frames(dataset, indices))
+    except DependencyError:  # labels from depth, which need the side, report it
+        return SideJudgement("top")
 
 
 def _doubt(side: ImageSide, rival: ImageSide) -> str:

@@ -1,0 +1,106 @@
+"""The side of a recording's images that is up: stated, measured or estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from box_room import walk
+
+from toolkit.exports.selection import _lowest_layer
+from toolkit.frame import Frame
+from toolkit.geometry.image_sides import turned_upright
+from toolkit.geometry.trajectory import Trajectory
+from toolkit.runs import image_side
+from toolkit.runs.image_side import find_side, up_side
+from toolkit.runs.settings import RunSettings
+from toolkit.semantics.segmenters.geometric.image_side import SideJudgement
+from toolkit.viewer.reading import vertical
+
+AUTO = RunSettings()
+
+
+@dataclass
+class Recorded:
+    """A recording in memory."""
+
+    frames: list[Frame]
+    up_world: tuple[float, float, float] | None = None
+    poses: np.ndarray | None = None
+    label_names: dict[int, str] | None = None
+    name: str = "recorded"
+    recording: SimpleNamespace = field(init=False)
+
+    def __post_init__(self):
+        truth = None if self.poses is None else Trajectory(np.arange(len(self.poses)), self.poses)
+        self.recording = SimpleNamespace(up_world=self.up_world, ground_truth=truth)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self.frames[index]
+
+
+@pytest.fixture(scope="module")
+def sideways():
+    return Recorded([view.frame for view in walk(8, 90.0)])
+
+
+def stated(side):
+    return replace(AUTO, dataset=replace(AUTO.dataset, up=side))
+
+
+def test_frames_with_depth_show_the_side(sideways, caplog):
+    with caplog.at_level("INFO"):
+        found = find_side(sideways, AUTO, has_depth=True)
+    assert found.side == "left" and not found.findings
+    assert "the left side of the images is up; --dataset.up" in caplog.text
+    assert up_side(found.chosen(AUTO).dataset) == "left"
+
+
+def test_without_depth_the_top_is_assumed(sideways):
+    assert find_side(sideways, AUTO, has_depth=False).side == "top"
+    assert up_side(AUTO.dataset) == "top"
+
+
+def test_the_option_decides(sideways):
+    assert find_side(sideways, stated("right"), has_depth=True).side == "right"
+
+
+def test_gravity_decides_where_the_device_measures_it():
+    poses = np.array([view.T_world_camera for view in walk(8, -90.0)])
+    measured = Recorded([], up_world=(0.0, 0.0, 1.0), poses=poses)
+    assert find_side(measured, AUTO, has_depth=True).side == "right"
+    assert find_side(measured, AUTO, has_depth=False).side == "right"
+
+
+def test_doubt_is_one_line_unless_labels_show_the_floor(sideways, monkeypatch):
+    monkeypatch.setattr(image_side, "judge_side", lambda _: SideJudgement("top", "left"))
+    found = find_side(sideways, AUTO, has_depth=True)
+    (line,) = found.findings
+    assert found.side == "top"
+    assert "the vertical is in doubt" in line and "--dataset.up left" in line
+    labelled = replace(sideways, label_names={1: "floor"})
+    assert find_side(labelled, AUTO, has_depth=True).findings == ()
+
+
+def test_floor_and_vertical_of_an_unlabelled_map_follow_the_side():
+    # Floor, ceiling and a wall at the side, on which more points lie than on the floor.
+    rng = np.random.default_rng(0)
+    floor = rng.uniform((-2, -2, 0.0), (2, 2, 0.01), (3000, 3))
+    wall = rng.uniform((-2, -2, 0.0), (-1.99, 2, 2.5), (6000, 3))
+    crate = rng.uniform((0.5, 0.5, 0.0), (1, 1, 0.6), (1000, 3))
+    points = np.concatenate([floor, wall, crate])
+    poses = np.array([view.T_world_camera for view in walk(8)])
+    poses[:, :3, :3] = poses[:, :3, :3] @ turned_upright("left").T
+    run = SimpleNamespace(
+        tracked=poses, trajectory=Trajectory(np.arange(8.0), poses), up_side="left"
+    )
+    ground = _lowest_layer(points, run)
+    assert ground.up @ [0.0, 0.0, 1.0] > 0.99
+    assert ground.height_m == pytest.approx(0.0, abs=0.1)
+    assert vertical(poses, "left") @ [0.0, 0.0, 1.0] > 0.9
+    assert vertical(poses[:0], "left") == pytest.approx([-1.0, 0.0, 0.0])
