@@ -103,6 +103,7 @@ def _map_line(metrics: Mapping[str, Any], kind: Kind, log: str) -> str:
         "interpolated",
         "jump",
         "refined",
+        "of the images is up",
     )
     reported = ", reported" if any(word in log for word in words) else ""
     return f"{psnr}{ate}, {lost} lost or doubtful{reported}"

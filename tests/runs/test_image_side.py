@@ -97,7 +97,7 @@ def test_floor_and_vertical_of_an_unlabelled_map_follow_the_side():
     poses = np.array([view.T_world_camera for view in walk(8)])
     poses[:, :3, :3] = poses[:, :3, :3] @ turned_upright("left").T
     run = SimpleNamespace(
-        tracked=poses, trajectory=Trajectory(np.arange(8.0), poses), up_side="left"
+        tracked=list(poses), trajectory=Trajectory(np.arange(8.0), poses), up_side="left"
     )
     ground = _lowest_layer(points, run)
     assert ground.up @ [0.0, 0.0, 1.0] > 0.99

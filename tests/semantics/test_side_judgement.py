@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from box_room import looking, see, walk
 
+from toolkit.datasets.orientation import oriented, oriented_camera
+from toolkit.datasets.registration_check import evenly_spaced_frames
+from toolkit.datasets.registry import open_dataset
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
@@ -67,3 +72,36 @@ def test_frames_without_depth_are_no_evidence():
     blank = Frame(0, 0.0, frame.rgb, np.zeros_like(frame.depth_m), frame.camera)
     assert judge_side([blank] * 8) == SideJudgement("top")
     assert judge_side([]) == SideJudgement("top")
+
+
+RECORDINGS = [
+    ("seven-scenes", "7scenes_redkitchen"),
+    ("replica", "replica_office0"),
+    ("folder", "hololens_walk"),
+    ("tum", "tum_fr1_rpy"),
+    ("folder", "corridor"),
+]
+
+
+def some_frames(kind: str, path: Path) -> list[Frame]:
+    dataset = open_dataset(kind, path, readout_ms=0.0, ignore_carrier=False)
+    return [dataset[i] for i in evenly_spaced_frames(len(dataset), 16)]
+
+
+def turned_frame(frame: Frame, orientation: int) -> Frame:
+    rgb, depth_m = (oriented(image, orientation) for image in (frame.rgb, frame.depth_m))
+    return Frame(frame.index, 0.0, rgb, depth_m, oriented_camera(frame.camera, orientation))
+
+
+@pytest.mark.parametrize(("kind", "name"), RECORDINGS)
+def test_real_recordings_are_upright_without_doubt(real_data, kind, name):
+    assert judge_side(some_frames(kind, real_data(name))) == SideJudgement("top")
+
+
+@pytest.mark.parametrize(("kind", "name"), RECORDINGS[:3])
+def test_real_recordings_are_recognised_when_they_are_turned(real_data, kind, name):
+    frames = some_frames(kind, real_data(name))
+    # EXIF's orientations: a half turn, a quarter clockwise, and one counterclockwise.
+    for orientation, side in ((3, "bottom"), (6, "right"), (8, "left")):
+        turned = [turned_frame(frame, orientation) for frame in frames]
+        assert judge_side(turned) == SideJudgement(side)
