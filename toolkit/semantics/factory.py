@@ -78,9 +78,11 @@ def build_segmenter(
     if kind == "model":
         return _model(options.model)
     if kind == "geometric":
-        if options.geometric.min_camera_height_m >= options.geometric.max_camera_height_m:
+        lowest_m, highest_m = options.geometric.camera_height_m
+        if lowest_m >= highest_m:
             raise SettingsError(
-                "segmenter.geometric.min_camera_height_m must be below max_camera_height_m"
+                "segmenter.geometric.camera_height_m must be a minimum and a larger maximum, "
+                f"got {lowest_m:g} {highest_m:g}"
             )
         return GeometricSegmenter(options.geometric, side)
     return Unlabelled()

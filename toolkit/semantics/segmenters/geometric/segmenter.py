@@ -59,8 +59,7 @@ class GeometricSegmenter:
         self._room = self._new_room()
 
     def _new_room(self) -> Room:
-        options = self._options
-        return Room((options.min_camera_height_m, options.max_camera_height_m), self._side)
+        return Room(self._options.camera_height_m, self._side)
 
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
