@@ -172,7 +172,7 @@ def _execute(
     recorder = StageRecorder()
     up = FoundSide(up_side(settings.dataset))
     if replayed is not None:
-        up = find_side(replayed, settings, has_depth=True)
+        up = find_side(replayed, settings.dataset)
     settings = up.chosen(settings)
     slam = build_slam(replayed, settings, folder, recorder)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None

@@ -107,7 +107,7 @@ def _execute(
     observers: Observers,
 ) -> None:
     mode, recorder = mode_of(settings), StageRecorder()
-    up = find_side(dataset, settings, mode.needs_depth)
+    up = find_side(dataset, settings.dataset, mode.needs_depth)
     settings = up.chosen(settings)
     findings = (*mode.findings(dataset, settings), *up.findings)
     # Missing weights are reported before the motion is estimated.
@@ -129,6 +129,8 @@ def _execute(
         dataset.name, dataset.camera, settings, folder, slam, system, costs, observers
     )
     with session.open():
+        for note in up.notes:
+            _log.info("%s: %s; --dataset.up states another side.", dataset.name, note)
         _log_findings(mode, dataset, findings)
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, replace
 
 from toolkit.datasets.base import RecordedDataset
@@ -14,8 +13,6 @@ from toolkit.geometry.image_sides import ImageSide, nearest_side
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
 
-_log = logging.getLogger(__name__)
-
 _FRAMES = 16
 
 
@@ -26,10 +23,12 @@ class FoundSide:
     Attributes:
         side: the side.
         findings: a line if it is in doubt.
+        notes: a line if another side than the top was found.
     """
 
     side: ImageSide
     findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def chosen(self, settings: RunSettings) -> RunSettings:
         """Return the settings with this side."""
@@ -41,28 +40,26 @@ def up_side(options: DatasetOptions) -> ImageSide:
     return "top" if options.up == "auto" else options.up
 
 
-def find_side(dataset: RecordedDataset, settings: RunSettings, has_depth: bool) -> FoundSide:
+def find_side(
+    dataset: RecordedDataset, options: DatasetOptions, has_depth: bool = True
+) -> FoundSide:
     """Find the side of a recording's images that is up.
 
     Args:
+        options: may state the side.
         has_depth: whether the run uses the depth of the recording; otherwise, only the options and
             gravity count, as without Open3D.
     """
-    if settings.dataset.up != "auto":
-        return FoundSide(settings.dataset.up)
+    if options.up != "auto":
+        return FoundSide(options.up)
     judgement = _by_gravity(dataset)
     if judgement is None:
         judgement = _by_depth(dataset) if has_depth else SideJudgement("top")
-    if judgement.side != "top":
-        _log.info(
-            "%s: the %s of the images is up; --dataset.up states another side.",
-            dataset.name,
-            _named(judgement.side),
-        )
-    # Floors that are labelled determine the vertical.
-    if judgement.rival is None or dataset.label_names:
-        return FoundSide(judgement.side)
-    return FoundSide(judgement.side, (_doubt(judgement.side, judgement.rival),))
+    side, rival = judgement.side, judgement.rival
+    # Labelled floors determine the vertical.
+    findings = () if rival is None or dataset.label_names else (_doubt(side, rival),)
+    notes = () if side == "top" else (f"the {_named(side)} of the images is up",)
+    return FoundSide(side, findings, notes)
 
 
 def _by_gravity(dataset: RecordedDataset) -> SideJudgement | None:

@@ -25,15 +25,14 @@ Array = NDArray[np.float64]
 _COLUMNS, _MIN_FRAMES = 80, 4
 # Cosine of the maximum tilt of surfaces that face up or down.
 _LEVEL = np.cos(np.radians(20.0))
-# The score is the weighted balance of surfaces that face up and down minus the deviation of pitch
-# and the roll, each in these units and up to these limits in a frame.
-_BALANCE, _PITCH_RAD, _ROLL_RAD = 2.0, np.radians(10.0), np.radians(15.0)
+# The score is the weighted balance of surfaces that face up and down, minus the deviations of pitch
+# and roll from their medians and minus the median roll, in these units and up to these limits.
+_BALANCE, _PITCH_RAD, _ROLL_RAD, _TILT_RAD = 2.0, *np.radians([10.0, 15.0, 45.0])
 _MAX_PITCH, _MAX_ROLL = 1.5, 2.0
 # Fraction of the image at which the balance of few surfaces is half of that of many.
 _FEW = 0.05
-# Another side is doubtful or certain from this margin between the scores and this implausibility of
-# the assumed side. In 60 upright recordings and rooms with other pitch and roll, the only margins
-# were in views of ceilings; turned by 90 or 180 degrees, 9 of 10 have both certain values.
+# Another side is doubtful or certain from this margin between the scores and this disorder of the
+# assumed side. Parts of recordings whose camera hardly turns remain below.
 _DOUBTFUL, _CERTAIN = (0.5, 0.3), (0.6, 0.5)
 # Surfaces at this height above the lowest one that faces up, and the minimum fraction of the image
 # that they fill in views of a furnished floor. Ceilings have none: 0.007 at most.
@@ -75,9 +74,11 @@ class _Views:
     @property
     def disorder(self) -> float:
         """How much pitch and roll deviate from those of a camera that is held in one way."""
-        pitch = np.abs(self.pitch_rad - np.median(self.pitch_rad)) / _PITCH_RAD
-        roll = np.abs(self.roll_rad) / _ROLL_RAD
-        return float((np.minimum(pitch, _MAX_PITCH) + np.minimum(roll, _MAX_ROLL)).mean())
+        pitch_rad, roll_rad = np.median(self.pitch_rad), np.median(self.roll_rad)
+        pitch = np.abs(self.pitch_rad - pitch_rad) / _PITCH_RAD
+        roll = np.abs(self.roll_rad - roll_rad) / _ROLL_RAD
+        changes = np.minimum(pitch, _MAX_PITCH) + np.minimum(roll, _MAX_ROLL)
+        return float(changes.mean() + abs(roll_rad) / _TILT_RAD)
 
     @property
     def reversal(self) -> float:
@@ -118,7 +119,7 @@ def _judged(views: Mapping[ImageSide, _Views], assumed: ImageSide) -> SideJudgem
     contradiction = margin, implausibility
     if not _reaches(contradiction, _DOUBTFUL):
         return SideJudgement(assumed)
-    if not _reaches(contradiction, _CERTAIN) or views[assumed].score >= 0.0:
+    if not _reaches(contradiction, _CERTAIN):
         return SideJudgement(assumed, best)
     # A ceiling looks like an empty floor to a camera that is upside down.
     furnished = float(views[best].raised.mean()) >= _MIN_RAISED
