@@ -12,6 +12,7 @@ from toolkit.errors import DependencyError
 from toolkit.geometry.image_sides import ImageSide, nearest_side
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
+from toolkit.slam.length_unit import METRE, LengthUnit
 
 _FRAMES = 16
 
@@ -70,9 +71,11 @@ def _by_gravity(dataset: RecordedDataset) -> SideJudgement | None:
 
 
 def _by_depth(dataset: RecordedDataset) -> SideJudgement:
+    # Sizes of floors and furniture are those of rooms.
+    unit = LengthUnit.of(dataset) or METRE
     indices = evenly_spaced_frames(len(dataset), _FRAMES)
     try:
-        return judge_side(readable_frames(dataset, indices))
+        return judge_side(unit.frame(frame) for frame in readable_frames(dataset, indices))
     except DependencyError:  # labels from depth, which need the side, report it
         return SideJudgement("top")
 
