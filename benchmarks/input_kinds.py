@@ -233,6 +233,37 @@ def _with_inverse_priors(folder: Path) -> None:
         np.save(folder / "priors" / f"{frame.index:06d}.npy", inverse.astype(np.float32))
 
 
+def _turned(quarters: int) -> RoomChange:
+    """Images of a camera that is turned, as those of a phone in portrait."""
+    R = np.linalg.matrix_power(
+        np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), quarters
+    )
+    turn = se3.from_rotation_translation(R, np.zeros(3))
+    return RoomChange(
+        pose=lambda T: T @ turn,
+        depth=lambda depth, _: np.ascontiguousarray(np.rot90(depth, quarters)),
+        rgb=lambda rgb, _: np.ascontiguousarray(np.rot90(rgb, quarters)),
+    )
+
+
+def _with_turned_camera(quarters: int) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        file = folder / "intrinsics.yaml"
+        values = yaml.safe_load(file.read_text())
+        for _ in range(quarters):
+            values |= {
+                "fx": values["fy"],
+                "fy": values["fx"],
+                "cx": values["cy"],
+                "cy": values["width"] - 1 - values["cx"],
+                "width": values["height"],
+                "height": values["width"],
+            }
+        file.write_text(yaml.safe_dump(values))
+
+    return change
+
+
 def _translated(T: Array) -> Array:
     moved = np.array(T)
     moved[:3, 3] += UTM_M
@@ -280,6 +311,12 @@ KINDS: Mapping[str, Kind] = {
         "names the factor", RoomChange(depth=lambda depth, _: 1.25 * depth)
     ),
     "given poses jump by 10 cm": Kind("names the frame", after=_with_a_jump, job=_GIVEN),
+    "camera in portrait": Kind(
+        "a good map, names the side that is up", _turned(1), _with_turned_camera(1)
+    ),
+    "camera upside down": Kind(
+        "a good map, names the side that is up", _turned(2), _with_turned_camera(2)
+    ),
     "times in nanoseconds": Kind("stops, names the unit", after=_with_times_in_nanoseconds),
     "a scene at 6 cm": Kind("a good map", RoomChange(scale=1 / 25)),
     "a scene at 90 m": Kind("a good map", RoomChange(scale=60.0)),

@@ -105,6 +105,7 @@ def _map_line(metrics: Mapping[str, Any], kind: Kind, log: str) -> str:
         "jump",
         "refined",
         "declared as",
+        "of the images is up",
     )
     reported = ", reported" if any(word in log for word in words) else ""
     worse = ", worse than its images allow" if "worse than its images" in log else ""

@@ -27,6 +27,7 @@ def test_frames_camera_and_poses_are_those_written(make_polycam, corrected):
         np.testing.assert_allclose(dataset.ground_truth.T_world_camera[i], pose(i), atol=1e-9)
     assert bool(dataset.recording.notes) != corrected
     assert dataset.recording.flaws == ()
+    assert dataset.recording.up_world == (0.0, 1.0, 0.0)
 
 
 def test_the_folder_of_keyframes_is_accepted(make_polycam):

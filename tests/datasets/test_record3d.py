@@ -85,6 +85,7 @@ def test_frames_camera_and_poses_are_those_written(tmp_path):
         T = dataset.ground_truth.T_world_camera[i]
         np.testing.assert_allclose(T, pose(i), atol=1e-6)
     assert dataset.recording.flaws == ()
+    assert dataset.recording.up_world == (0.0, 1.0, 0.0)
 
 
 def test_a_point_keeps_its_place_in_the_world(tmp_path):

@@ -22,6 +22,7 @@ def test_frames_camera_and_poses_are_those_written(make_stray_scanner):
     dataset = open_dataset("stray-scanner", make_stray_scanner())
     assert len(dataset) == 6
     check_truth(dataset, list(range(6)), list(range(6)))
+    assert dataset.recording.up_world == (0.0, 1.0, 0.0)
     camera = dataset.camera  # a quarter of the video, whose centre is (64, 48) from its corner
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (30.0, 31.0, 15.5, 11.5)
     for i in range(6):

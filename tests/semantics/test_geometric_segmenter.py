@@ -70,6 +70,28 @@ def test_a_tilted_camera_changes_nothing(roll_deg):
     assert accuracy(views[1:], labels[1:]) > 0.95
 
 
+@pytest.mark.parametrize(
+    ("roll_deg", "side"), [(90.0, "left"), (180.0, "bottom"), (-90.0, "right")]
+)
+def test_another_side_of_the_images_may_be_up(roll_deg, side):
+    views, segmenter = walk(8, roll_deg), GeometricSegmenter(side=side)
+    labels = segmented(segmenter, views)
+    assert up_error_deg(segmenter, views[0]) < 1.0
+    assert accuracy(views[1:], labels[1:]) > 0.95
+
+
+def test_a_camera_may_look_straight_down():
+    down = np.diag([1.0, -1.0, -1.0])
+    tilts = [se3.exp_so3(np.array([0.05 * (i % 3 - 1), 0.0, 0.0])) for i in range(5)]
+    eyes = [np.array([0.2 * i - 0.6, -0.8, 2.2]) for i in range(5)]
+    views = [
+        see(se3.from_rotation_translation(down @ tilt, eye))
+        for tilt, eye in zip(tilts, eyes, strict=True)
+    ]
+    labels = segmented(GeometricSegmenter(side="backward"), views)
+    assert accuracy(views, labels) > 0.95
+
+
 def test_a_noisy_sensor_with_holes_changes_little():
     generator = np.random.default_rng(0)
     noisy = []

@@ -64,9 +64,9 @@ def test_images_pair_as_the_settings_say(tmp_path):
             "h.safetensors does not exist",
         ),
         (
-            {"kind": "geometric", "geometric": {"min_camera_height_m": 3.0}},
+            {"kind": "geometric", "geometric": {"camera_height_m": (3.0, 2.5)}},
             SettingsError,
-            "must be below max_camera_height_m",
+            "must be a minimum and a larger maximum, got 3 2.5",
         ),
     ],
 )

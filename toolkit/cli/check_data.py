@@ -7,8 +7,11 @@ from collections.abc import Iterable
 from tqdm import tqdm
 
 from toolkit.cli.programs import CheckDataOptions
+from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.checks import check_recording
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import describe
+from toolkit.runs.image_side import find_side
 
 
 def main(options: CheckDataOptions) -> int:
@@ -24,7 +27,9 @@ def main(options: CheckDataOptions) -> int:
     report = check_recording(recording, options.image_size, _with_progress)
     for line in report.summary:
         print(line)
-    for line in report.notes:
+    dataset = RecordedDataset(recording, options.image_size)
+    up = find_side(dataset, DatasetOptions(), has_depth=dataset.files(0).depth is not None)
+    for line in (*report.notes, *up.notes, *up.findings):
         print(f"note: {line}")
     for line in report.faults:
         print(f"error: {line}")

@@ -127,6 +127,8 @@ class Recording:
         readout_s: time in seconds from the exposure of the first row of an image to that of the
             last, of colour and depth; 0 for a global shutter; None if it is not known.
         readout_sigma_s: its standard deviation, if it was estimated.
+        up_world: (x, y, z) of the direction up in the coordinates of the poses, where the device
+            measures gravity; None where it is not known.
         carrier: [h, w] bool, parts of the image that show what carries the camera and are ignored;
             None for none.
     """
@@ -153,6 +155,7 @@ class Recording:
     depth_offset_px: tuple[float, float] = (0.0, 0.0)
     readout_s: float | None = None
     readout_sigma_s: float = 0.0
+    up_world: tuple[float, float, float] | None = None
     carrier: NDArray[np.bool_] | None = None
 
 

@@ -68,6 +68,11 @@ class DatasetOptions:
     pose_delay: Annotated[float, Range(ge=-10, le=10)] = 0.0
     """Time in seconds by which poses of the recording are late against its images, as a run or
     check-data reports it: the pose of an image is the one recorded so much later."""
+    up: Literal["auto", "top", "right", "bottom", "left", "backward", "forward"] = "auto"
+    """Side of the images that is up: top, right, bottom or left; backward or forward for a camera
+    that looks straight down or up. auto uses the gravity of ARKit where a recording has it;
+    otherwise, it compares the sides by the floor and walls of a few frames with depth, and assumes
+    top without depth or with weak evidence."""
     topics: BagTopics = BagTopics()
     ignore_carrier: bool = True
     """Ignore parts of the image that keep their depth and colour while the camera moves, because

@@ -23,6 +23,8 @@ Key = TypeVar("Key", int, str)
 
 # From the axes of OpenGL's camera, y up and z back, to ours: T_world_camera = T @ OPENGL_AXES.
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
+# The direction up of ARKit's worlds, by gravity.
+ARKIT_UP = (0.0, 1.0, 0.0)
 # Maximum number of files listed in one line; the rest are counted.
 _NAMED_FILES = 3
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.common_camera import camera_of_depth, common_camera
 from toolkit.datasets.pairing import (
+    ARKIT_UP,
     OPENGL_AXES,
     attach_poses,
     folder_holding,
@@ -85,6 +86,7 @@ def describe(path: Path) -> Recording:
         files=files,
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,
+        up_world=ARKIT_UP,
         colour_may_be_larger=True,
         colour_camera=common.camera,
         flaws=unpaired("image(s) without a camera", _names(rgb, cameras))

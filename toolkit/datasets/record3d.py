@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.common_camera import CommonCamera, camera_of_depth, common_camera
-from toolkit.datasets.pairing import OPENGL_AXES, Truth, attach_poses, unpaired
+from toolkit.datasets.pairing import ARKIT_UP, OPENGL_AXES, Truth, attach_poses, unpaired
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.record3d import EXPORTED_METADATA, Record3DFile
@@ -67,6 +67,7 @@ def describe(path: Path) -> Recording:
         files=files,
         depth_scale=1.0,
         ground_truth=truth.trajectory,
+        up_world=ARKIT_UP,
         colour_may_be_larger=True,
         colour_camera=common.camera,
         container=file,

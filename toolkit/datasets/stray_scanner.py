@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.pairing import (
+    ARKIT_UP,
     attach_poses,
     camera_of_matrix,
     check_times,
@@ -70,6 +71,7 @@ def describe(path: Path) -> Recording:
         files=files,
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,
+        up_world=ARKIT_UP,
         colour_may_be_larger=True,
         colour_camera=colour,
         rotated=False,

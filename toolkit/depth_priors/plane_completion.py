@@ -28,7 +28,7 @@ _RING = 10
 _EDGE_PX = 6
 # Relative residuals of points on a plane, and the share of points that must be on it.
 _TOLERANCE, _MIN_SHARE = 0.02, 0.75
-# Share of all points that must be on it, since nearer objects may bound a hole; and weight of points
+# Share of all points that must be on it, since nearer objects may bound a hole; and weight of those
 # beyond it in the choice of the plane.
 _MIN_OF_ALL, _SEEN_THROUGH = 0.3, 2
 _TRIALS, _TRIAL_POINTS = 40, 200

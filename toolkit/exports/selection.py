@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import RunFolderError, ToolkitError
 from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.geometry.image_sides import mean_up
 from toolkit.io.splat_labels import INSTANCE, SplatLabels, instances_in
 from toolkit.io.splats import read_splats
 from toolkit.runs.finished import FinishedRun, load_run
@@ -171,7 +172,7 @@ def ground_of(run: FinishedRun, names: Sequence[str] = ()) -> Ground | None:
 
     It is fitted to the Gaussians of floor classes, of the lowest storey if there are several.
     Without labels, or if no floor is labelled, it is the lowest full layer of Gaussians below the
-    cameras, which are assumed to be held upright.
+    cameras.
 
     Args:
         names: classes and groups of the floor instead of the common names.
@@ -197,7 +198,7 @@ def floors_of(run: FinishedRun, names: Sequence[str] = ()) -> Floors | None:
 def _lowest_layer(means_m: NDArray[np.float64], run: FinishedRun) -> Ground | None:
     if not run.tracked:
         return None
-    up = -np.mean([frame.T_map_camera[:3, 1] for frame in run.tracked], axis=0)
+    up = mean_up(run.trajectory.T_world_camera, run.up_side)
     up /= max(float(np.linalg.norm(up)), 1e-9)
     # The cameras are tilted, so a second pass searches along the normal of the first.
     ground = None

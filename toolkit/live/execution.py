@@ -31,6 +31,7 @@ from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.execution import check_settings
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.image_side import FoundSide, find_side, up_side
 from toolkit.runs.locations import absolute, with_absolute_paths
 from toolkit.runs.lock import locked
 from toolkit.runs.modes import mode_of
@@ -93,7 +94,8 @@ def run_live(
     the newest one.
 
     Args:
-        settings: of the run; the dataset is that of a replay, and is not used with a camera.
+        settings: of the run; the dataset is that of a replay. Of a camera, only the side of its
+            images that is up is used.
         options: of the camera.
         camera: not started.
         out: the run folder, new or empty.
@@ -108,7 +110,8 @@ def run_live(
     out = Path(out)
     settings = with_absolute_paths(settings)
     if camera.dataset is None:
-        place = DatasetOptions(kind="folder", path=absolute(out) / RECORDING)
+        up = settings.dataset.up
+        place = DatasetOptions(kind="folder", path=absolute(out) / RECORDING, up=up)
         settings = replace(settings, dataset=place)
     load_lpips(settings)  # reports unusable weights before the run instead of after it
     try:
@@ -167,6 +170,10 @@ def _execute(
 ) -> None:
     camera, replayed = source.camera, source.camera.dataset
     recorder = StageRecorder()
+    up = FoundSide(up_side(settings.dataset))
+    if replayed is not None:
+        up = find_side(replayed, settings.dataset)
+    settings = up.chosen(settings)
     slam = build_slam(replayed, settings, folder, recorder)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
     folder.check_taxonomy(slam.result().taxonomy)
@@ -209,7 +216,9 @@ def _execute(
         checkpoints.save(system, len(frames))
         checkpoints.wait()
         result = session.finish(hooks.progress)
-        record = RunRecord(recorder, costs.costs(), summary, sources=slam.sources)
+        record = RunRecord(
+            recorder, costs.costs(), summary, findings=up.findings, sources=slam.sources
+        )
         write_results(result, frames, folder, settings, record)
         session.close_results()
     if source.writer is not None and not options.save_frames:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry.image_sides import ImageSide, mean_up
+
 Array = NDArray[np.float64]
 
 _SAMPLES = 500
@@ -37,7 +39,10 @@ class FloorHeight:
 
 
 def height_above_floor(
-    points_world: Array, T_world_camera: Array, rng: np.random.Generator
+    points_world: Array,
+    T_world_camera: Array,
+    rng: np.random.Generator,
+    side: ImageSide = "top",
 ) -> FloorHeight | None:
     """Find the floor and the mean height of the cameras above it.
 
@@ -47,8 +52,9 @@ def height_above_floor(
 
     Args:
         points_world: [N, 3].
-        T_world_camera: poses [M, 4, 4] of the cameras, held upright on average.
+        T_world_camera: poses [M, 4, 4] of the cameras.
         rng: for the choice of samples.
+        side: the side of their images that is up on average.
 
     Returns:
         None if there is no such plane.
@@ -56,7 +62,7 @@ def height_above_floor(
     if len(points_world) < 3 or len(T_world_camera) == 0:
         return None
     centres = T_world_camera[:, :3, 3]
-    upward = -T_world_camera[:, :3, 1].mean(0)
+    upward = mean_up(T_world_camera, side)
     distance = float(np.median(np.linalg.norm(points_world - centres.mean(0), axis=1)))
     thickness = _THICKNESS * distance
     normal = _common_normal(points_world, centres, upward, thickness, rng)

@@ -13,6 +13,7 @@ from toolkit.datasets.base import Dataset
 from toolkit.depth_priors.multi_view import MultiViewDepth
 from toolkit.errors import SettingsError
 from toolkit.geometry import se3
+from toolkit.geometry.image_sides import ImageSide
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.monocular.floor import height_above_floor
 from toolkit.monocular.markers import detect_markers, side_length
@@ -65,7 +66,11 @@ def check_scale(options: ScaleOptions, frames: int | None = None) -> None:
 
 
 def with_metric_scale(
-    motion: CameraMotion, dataset: Dataset, timestamps_s: Array, options: ScaleOptions
+    motion: CameraMotion,
+    dataset: Dataset,
+    timestamps_s: Array,
+    options: ScaleOptions,
+    side: ImageSide = "top",
 ) -> CameraMotion:
     """Scale a motion to metres by the length that is given, if one is; so each of its parts.
 
@@ -73,22 +78,28 @@ def with_metric_scale(
         dataset: source of the images.
         timestamps_s: of all frames [N].
         options: the known length.
+        side: the side of the images that is up.
 
     Returns:
         The motion in metres with its `metric_scale`; unchanged without a known length, and with a
         doubt if the length could not be found in the images, or not in those of another part.
     """
     if not motion.others:
-        return _in_metres(motion, dataset, timestamps_s, options)
-    others = [with_metric_scale(one, dataset, timestamps_s, options) for one in motion.others]
-    scaled_motion = _in_metres(replace(motion, others=()), dataset, timestamps_s, options)
+        return _in_metres(motion, dataset, timestamps_s, options, side)
+    others = [with_metric_scale(m, dataset, timestamps_s, options, side) for m in motion.others]
+    main = replace(motion, others=())
+    scaled_motion = _in_metres(main, dataset, timestamps_s, options, side)
     doubts = list(scaled_motion.doubts)
     doubts += [f"in another part, {doubt}" for one in others for doubt in one.doubts]
     return replace(scaled_motion, others=tuple(others), doubts=doubts)
 
 
 def _in_metres(
-    motion: CameraMotion, dataset: Dataset, timestamps_s: Array, options: ScaleOptions
+    motion: CameraMotion,
+    dataset: Dataset,
+    timestamps_s: Array,
+    options: ScaleOptions,
+    side: ImageSide,
 ) -> CameraMotion:
     """One part of a motion in metres."""
     known_m: float | None
@@ -99,7 +110,7 @@ def _in_metres(
         ends = timestamps_s[list(options.distance_frames)]
         known_m, found = options.distance_m, lambda: _distance(motion, ends)
     elif options.camera_height_m is not None:
-        known_m, found = options.camera_height_m, lambda: _camera_height(motion, dataset)
+        known_m, found = options.camera_height_m, lambda: _camera_height(motion, dataset, side)
     else:
         return motion
     length = found()
@@ -171,7 +182,7 @@ def _distance(motion: CameraMotion, ends_s: Array) -> _Length | str:
     )
 
 
-def _camera_height(motion: CameraMotion, dataset: Dataset) -> _Length | str:
+def _camera_height(motion: CameraMotion, dataset: Dataset, side: ImageSide) -> _Length | str:
     """The height above the floor; its uncertainty is the difference between halves of the film."""
     depth = MultiViewDepth(
         motion.camera, motion.views, lambda index: intensity_of(dataset[index].rgb).numpy()
@@ -188,6 +199,7 @@ def _camera_height(motion: CameraMotion, dataset: Dataset) -> _Length | str:
             np.concatenate([points[n] for block in chosen for n in block]),
             motion.trajectory.T_world_camera,
             np.random.default_rng(0),
+            side,
         )
         for chosen in (blocks, blocks[::2], blocks[1::2] or blocks)
     )

@@ -22,6 +22,7 @@ from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.rendering import map_device
 from toolkit.runs.allocator import reuse_freed_memory
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.image_side import up_side
 from toolkit.runs.modes import FrontEndParts, mode_of
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
@@ -91,6 +92,7 @@ def build_slam(
     watches = dataset is None and settings.dataset.ignore_carrier
     sources = replace(sources, watches_carrier=watches)
     slam = Slam(front_end, mapper, atlas, sources, recorder, instances)
+    slam.up_side = up_side(settings.dataset)
     if settings.scene.graph:
         if taxonomy is None:
             raise SettingsError(
@@ -134,7 +136,8 @@ def build_run_labeller(
         unmatched = {} if unmatched is None else unmatched
     else:
         unmatched = None
-    return build_labeller(settings.semantics, settings.segmenter, names, stems, unmatched)
+    side = up_side(settings.dataset)
+    return build_labeller(settings.semantics, settings.segmenter, names, stems, unmatched, side)
 
 
 @dataclass(frozen=True)

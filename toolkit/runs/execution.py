@@ -26,6 +26,7 @@ from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
 from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.image_side import find_side
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import locked
 from toolkit.runs.modes import RunContext, RunMode, mode_of
@@ -106,7 +107,9 @@ def _execute(
     observers: Observers,
 ) -> None:
     mode, recorder = mode_of(settings), StageRecorder()
-    findings = mode.findings(dataset, settings)
+    up = find_side(dataset, settings.dataset, mode.needs_depth)
+    settings = up.chosen(settings)
+    findings = (*mode.findings(dataset, settings), *up.findings)
     # Missing weights are reported before the motion is estimated.
     provider = build_provider(settings.depth_prior, dataset.stems, dataset.recording.camera)
     with logged_to(folder.log):
@@ -126,6 +129,8 @@ def _execute(
         dataset.name, dataset.camera, settings, folder, slam, system, costs, observers
     )
     with session.open():
+        for note in up.notes:
+            _log.info("%s: %s; --dataset.up states another side.", dataset.name, note)
         _log_findings(mode, dataset, findings)
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))

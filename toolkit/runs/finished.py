@@ -19,6 +19,7 @@ from toolkit.exposure import Exposure
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.image_sides import SIDES, ImageSide
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splat_placement import origin_comment
@@ -53,6 +54,7 @@ class FinishedRun:
         states: states of all frames of the sequence, in order.
         parts: parts of the map, the main part first; the relative poses of parts are unknown.
         metric: whether lengths are in metres; otherwise their unit is arbitrary.
+        up_side: the side of the images that is up.
         origin_m: [3] position of the map's origin in the coordinates of the given poses; 0 unless
             these are far away.
     """
@@ -72,6 +74,7 @@ class FinishedRun:
     states: list[FrameState]
     parts: list[PartSummary]
     metric: bool
+    up_side: ImageSide
     origin_m: NDArray[np.float64]
 
     @property
@@ -222,6 +225,7 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             states=[read_state(row) for row in content["states"]],
             parts=[read_part(row) for row in content["parts"]],
             metric=bool(content["metric"]),
+            up_side=_side(content.get("up", "top")),
             origin_m=np.array(content.get("origin_m", [0, 0, 0]), np.float64).reshape(3),
         )
     except (KeyError, TypeError, ValueError, SettingsError) as error:
@@ -236,6 +240,12 @@ def _read_frames(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RunFolderError(f"{path} does not contain a dictionary; run again")
     return content
+
+
+def _side(name: str) -> ImageSide:
+    if name not in SIDES:
+        raise ValueError(f"{name} is not a side of an image")
+    return name
 
 
 def _anchors(rows: list[dict[str, Any]]) -> dict[int, NDArray[np.float64]]:

@@ -16,6 +16,7 @@ from toolkit.monocular.motion import FOCAL_ROUNDS, CameraMotion, estimate_motion
 from toolkit.monocular.prior_check import doubt_about_priors
 from toolkit.monocular.scale import with_metric_scale
 from toolkit.runs.expected_time import with_expected_motion_time
+from toolkit.runs.image_side import up_side
 from toolkit.runs.observers import Progress
 from toolkit.runs.settings import RunSettings
 
@@ -63,7 +64,8 @@ def estimated_motion(
                 motion.frames_in_others,
                 len(motion.others),
             )
-        motion = with_metric_scale(motion, dataset, dataset.timestamps_s, settings.scale)
+        side = up_side(settings.dataset)
+        motion = with_metric_scale(motion, dataset, dataset.timestamps_s, settings.scale, side)
     if motion.metric_scale is not None:
         _log.info(
             "The unit of length is the metre, by %s (uncertain by %.1f %%).",

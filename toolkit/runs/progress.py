@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.image_sides import ImageSide
 from toolkit.growing_scene.growing import GrowingScene
 from toolkit.growing_scene.snapshot import Snapshot, snapshot_content
 from toolkit.io.arrays import JoinedArrays, arrays_below, read_array_tree
@@ -77,6 +78,7 @@ class RunProgress:
         parts: submaps that can be read.
         keyframes: keyframes in order.
         indices: [M] frame indices of the tracked frames.
+        up_side: the side of the images that is up.
         T_world_camera: [M, 4, 4] their poses. Those of parts of the map that were not joined so
             far have arbitrary poses relative to each other.
         camera: intrinsics; None before the first keyframe.
@@ -92,6 +94,7 @@ class RunProgress:
     parts: list[MapPart]
     keyframes: list[ProgressKeyframe]
     indices: list[int]
+    up_side: ImageSide
     T_world_camera: NDArray[np.float64]
     camera: Camera | None
     taxonomy: Taxonomy | None
@@ -189,6 +192,7 @@ class ProgressReader:
             parts=self._parts(arrays, anchors, values["atlas"]["store"], number),
             keyframes=keyframes,
             indices=[int(tracked[i]["index"]) for i in known],
+            up_side=values.get("up_side", "top"),
             T_world_camera=np.array(path).reshape(-1, 4, 4),
             camera=None if first is None else Camera(**first["camera"]),
             taxonomy=taxonomy,

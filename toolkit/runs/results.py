@@ -62,6 +62,7 @@ from toolkit.runs.evaluation import (
 )
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.frame_records import frame_records
+from toolkit.runs.image_side import up_side
 from toolkit.runs.instance_files import write_instances
 from toolkit.runs.map_files import labelled_parts
 from toolkit.runs.modes import mode_of
@@ -232,8 +233,8 @@ def _is_metric(record: RunRecord) -> bool:
 
 
 def _origins(dataset: Dataset, folder: RunFolder, settings: RunSettings) -> dict[str, Any]:
-    """Where the frames are from, and what their given poses are relative to."""
-    origins: dict[str, Any] = {}
+    """Where the frames are from, which side is up, and what given poses are relative to."""
+    origins: dict[str, Any] = {"up": up_side(settings.dataset)}
     origin_m = mode_of(settings).origin_m(dataset)
     if origin_m is not None:
         origins["origin_m"] = origin_m.tolist()

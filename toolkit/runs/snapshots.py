@@ -162,6 +162,7 @@ class SnapshotWriter:
             keyframes = [{"index": k.index, "camera": asdict(k.camera)} for k in atlas.keyframes]
             stored_and_active["active"] = {"number": atlas.active, "keyframes": keyframes}
         values: dict[str, Any] = {
+            "up_side": slam.up_side,
             "atlas": stored_and_active,
             "path": {
                 "tracked": [

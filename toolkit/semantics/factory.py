@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from toolkit.errors import DatasetError, SettingsError
+from toolkit.geometry.image_sides import ImageSide
 from toolkit.semantics.codes import ColourCode, SemanticCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.options import (
     CodeOptions,
@@ -47,6 +48,7 @@ def build_segmenter(
     options: SegmenterOptions,
     label_names: Mapping[int, str] | None,
     stems: Sequence[str] | None = None,
+    side: ImageSide = "top",
 ) -> Segmenter:
     """Build the segmenter.
 
@@ -54,6 +56,7 @@ def build_segmenter(
         label_names: the dataset's class names by id, or None if it has no labels.
         stems: file names of the frames' images without suffix, by frame index; required to
             assign label images by stem.
+        side: the side of the images that is up, for labels from depth alone.
 
     Raises:
         SettingsError: a path required by this kind of segmenter is not set.
@@ -75,11 +78,13 @@ def build_segmenter(
     if kind == "model":
         return _model(options.model)
     if kind == "geometric":
-        if options.geometric.min_camera_height_m >= options.geometric.max_camera_height_m:
+        lowest_m, highest_m = options.geometric.camera_height_m
+        if lowest_m >= highest_m:
             raise SettingsError(
-                "segmenter.geometric.min_camera_height_m must be below max_camera_height_m"
+                "segmenter.geometric.camera_height_m must be a minimum and a larger maximum, "
+                f"got {lowest_m:g} {highest_m:g}"
             )
-        return GeometricSegmenter(options.geometric)
+        return GeometricSegmenter(options.geometric, side)
     return Unlabelled()
 
 

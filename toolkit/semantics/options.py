@@ -65,12 +65,9 @@ class ModelOptions:
 class GeometricOptions:
     """Labels of floor, wall, ceiling, surface and object from depth alone."""
 
-    min_camera_height_m: PositiveFloat = 0.5
-    """Minimum height of the camera above the floor, in metres. Higher level surfaces are
-    furniture."""
-    max_camera_height_m: PositiveFloat = 2.5
-    """Maximum height of the camera above the floor, in metres. Lower level surfaces belong to
-    another storey."""
+    camera_height_m: tuple[PositiveFloat, PositiveFloat] = (0.5, 2.5)
+    """Minimum and maximum height of the camera above the floor, in metres. Higher level surfaces
+    are furniture, lower ones belong to another storey."""
 
 
 @dataclass(frozen=True)

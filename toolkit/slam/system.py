@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
 from toolkit.geometry import se3
+from toolkit.geometry.image_sides import ImageSide
 from toolkit.growing_scene.growing import GrowingScene
 from toolkit.instances.finishing import finish_instances
 from toolkit.instances.result import InstanceMap
@@ -64,7 +65,13 @@ class _Part(Protocol):
 
 
 class Slam:
-    """RGB-D Gaussian SLAM: call `process_frame` for each frame in order, then `finish`."""
+    """RGB-D Gaussian SLAM: call `process_frame` for each frame in order, then `finish`.
+
+    Attributes:
+        up_side: the side of the images that is up, for viewers.
+    """
+
+    up_side: ImageSide = "top"
 
     def __init__(
         self,
@@ -419,6 +426,7 @@ class Slam:
         arrays = {f"tracker/{k}": a for k, a in self.tracker.state().items()}
         arrays |= {f"segmenter/{k}": a for k, a in self._preparation.state().items()}
         values: dict[str, Any] = {"units_per_metre": self._unit and self._unit.per_metre}
+        values["up_side"] = self.up_side
         for name, part in self._parts().items():
             part_arrays, values[name] = part.state()
             arrays |= {f"{name}/{k}": a for k, a in part_arrays.items()}

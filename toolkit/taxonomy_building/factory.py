@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 
 from toolkit.errors import FormatError
+from toolkit.geometry.image_sides import ImageSide
 from toolkit.semantics.factory import build_segmenter
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.lexicon.matching import selected_nodes
@@ -45,13 +46,14 @@ def build_labeller(
     names: Mapping[int, str] | None,
     stems: Sequence[str] | None = None,
     unmatched: dict[str, FormatError] | None = None,
+    side: ImageSide = "top",
 ) -> Labeller | None:
     """Build the labeller of a dataset's frames; None for a map without semantics.
 
     Args:
         options: options of semantics.
         source: source of the labels.
-        names, stems: see `build_segmenter`.
+        names, stems, side: see `build_segmenter`.
         unmatched: receives the texts of `ignore` that mean no class, with the reasons; by default,
             they are errors.
 
@@ -61,7 +63,7 @@ def build_labeller(
     """
     if options.code.kind == "none" or source.kind == "none":
         return None
-    segmenter = build_segmenter(source, names, stems)
+    segmenter = build_segmenter(source, names, stems, side)
     taxonomy = choose_taxonomy(options.taxonomy, segmenter.class_names)
     ignored = _ignored_classes(options.ignore, taxonomy, unmatched)
     return Labeller(segmenter, taxonomy, ignored, f"{source.kind} labels")

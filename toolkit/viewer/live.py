@@ -11,7 +11,7 @@ from toolkit.runs.progress import MapPart, ProgressReader, RunProgress
 from toolkit.runs.snapshots import unwatch
 from toolkit.viewer.keyframes import spread
 from toolkit.viewer.options import ShownContent
-from toolkit.viewer.reading import loops_between, read_scene, upright
+from toolkit.viewer.reading import loops_between, read_scene, vertical
 from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene, path_states
 from toolkit.viewer.shown_objects import graph_objects
 
@@ -68,7 +68,7 @@ class LiveRun:
             title=f"{self._path.resolve().name}, frame {progress.next_frame}",
             splats=splats.thinned(self._content.max_gaussians, poses[:, :3, 3]),
             total=len(splats),
-            up=upright(poses),
+            up=vertical(poses, progress.up_side),
             tree=None if progress.taxonomy is None else ShownTree.from_taxonomy(progress.taxonomy),
             path=poses,
             path_states=path_states(progress.indices, progress.doubtful, progress.lost),

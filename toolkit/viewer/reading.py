@@ -13,6 +13,7 @@ from toolkit.errors import RunFolderError
 from toolkit.evaluation.frame_states import summary_lines
 from toolkit.evaluation.run_loops import accepted_edges
 from toolkit.exports.selection import SelectedGaussians, ground_of, select
+from toolkit.geometry.image_sides import ImageSide, mean_up, up_in_camera
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import Splats, is_splat_file, read_splats
 from toolkit.loops.log import read_loop_log
@@ -132,16 +133,18 @@ def _file_splats(splats: Splats) -> ShownSplats:
 
 
 def _up(run: FinishedRun) -> NDArray[np.float64]:
-    """Return the vertical: the normal of the floor, otherwise that of the upright cameras."""
+    """Return the vertical: the normal of the floor, otherwise that of the cameras."""
     ground = ground_of(run)
-    return upright(run.trajectory.T_world_camera) if ground is None else ground.up
+    if ground is not None:
+        return ground.up
+    return vertical(run.trajectory.T_world_camera, run.up_side)
 
 
-def upright(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean vertical [3] of cameras T_map_camera [M, 4, 4] that are held upright."""
+def vertical(poses: NDArray[np.float64], side: ImageSide) -> NDArray[np.float64]:
+    """Return the mean vertical [3] of cameras T_map_camera [M, 4, 4] with a side up."""
     if not len(poses):
-        return np.array([0.0, -1.0, 0.0])
-    up = -poses[:, :3, 1].mean(axis=0)
+        return up_in_camera(side)
+    up = mean_up(poses, side)
     return up / max(float(np.linalg.norm(up)), 1e-9)
 
 

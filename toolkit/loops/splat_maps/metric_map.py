@@ -14,6 +14,7 @@ from toolkit.features.sources import ViewDescriber
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.camera import Camera
+from toolkit.geometry.image_sides import mean_up
 from toolkit.keyframe import Keyframe
 from toolkit.loops.options import RelocalisationOptions
 from toolkit.loops.splat_maps.localisation import LocatedFrame, SplatMapLocaliser
@@ -135,8 +136,11 @@ def _scaled(T_map_camera: Array, factor: float) -> Array:
 
 
 def _vertical(T_map_cameras: list[Array]) -> Array | None:
-    """The direction up [3] of cameras, if most of them are held upright."""
-    up = -np.mean([T[:3, 1] for T in T_map_cameras], axis=0)
+    """The direction [3] towards the top of the images of most cameras.
+
+    Virtual views are held like the cameras, whatever side of the images is up.
+    """
+    up = mean_up(np.array(T_map_cameras), "top")
     length = float(np.linalg.norm(up))
     return np.asarray(up / length) if length >= _MIN_UPRIGHT else None
 

@@ -7,6 +7,8 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry.image_sides import BORDERS, ImageSide, turned_upright
+
 Array = NDArray[np.float64]
 
 # Number of candidate directions; neighbours are about 3 degrees apart.
@@ -33,12 +35,18 @@ class UpEstimator:
     camera is a prior. The direction with the most votes is refined by least squares over the planes
     consistent with it, with exponential decay of earlier frames.
 
+    Args:
+        side: the side of the images that is up.
+
     Attributes:
         direction: [3] unit vector; zero before the first frame.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, side: ImageSide = "top") -> None:
         self.direction: Array = np.zeros(3)
+        self._R_camera_turned = turned_upright(side)
+        # A camera that is mounted to look straight up or down is not tilted on average.
+        self._pitch_down_rad = _PITCH_DOWN_RAD if side in BORDERS else 0.0
         self._votes = np.zeros(_DIRECTIONS)
         self._scatter = np.zeros((3, 3))
 
@@ -59,7 +67,8 @@ class UpEstimator:
         weights /= max(1.0, float(weights.sum()))
         directions = _directions()
         self._votes = _DECAY * self._votes + _agreement(directions @ normals.T) @ weights
-        self._votes += _PRIOR_WEIGHT * _log_prior(directions @ R_map_camera)
+        pitch_down, roll = attitude(directions @ R_map_camera @ self._R_camera_turned)
+        self._votes += _PRIOR_WEIGHT * _log_prior(pitch_down - self._pitch_down_rad, roll)
         coarse = directions[int(np.argmax(self._votes))]
         changed = float(self.direction @ coarse) < np.cos(_CHANGE_RAD)
         if changed:
@@ -116,12 +125,17 @@ def _agreement(cosine: Array) -> Array:
     return np.asarray(horizontal + _VERTICAL_WEIGHT * vertical)
 
 
-def _log_prior(up_camera: Array) -> Array:
-    """Return the log prior of each direction [K, 3] in camera coordinates; its maximum is 0."""
+def attitude(up_camera: Array) -> tuple[Array, Array]:
+    """Return pitch (down) and roll [K] of a camera by the direction up [K, 3] in its coordinates.
+
+    Both are in radians, and 0 if the top of the image is up.
+    """
     pitch_down = np.arcsin(np.clip(-up_camera[:, 2], -1.0, 1.0))
     roll = np.arctan2(up_camera[:, 0], -up_camera[:, 1])
     # Roll is undefined for a camera that looks straight up or down.
-    roll = np.where(np.cos(pitch_down) > 0.05, roll, 0.0)
-    return np.asarray(
-        -0.5 * ((pitch_down - _PITCH_DOWN_RAD) / _PITCH_RAD) ** 2 - 0.5 * (roll / _ROLL_RAD) ** 2
-    )
+    return pitch_down, np.where(np.cos(pitch_down) > 0.05, roll, 0.0)
+
+
+def _log_prior(pitch: Array, roll: Array) -> Array:
+    """Return the log prior [K] of deviations of pitch and roll in radians; its maximum is 0."""
+    return np.asarray(-0.5 * (pitch / _PITCH_RAD) ** 2 - 0.5 * (roll / _ROLL_RAD) ** 2)

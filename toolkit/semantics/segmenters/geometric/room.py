@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry.image_sides import ImageSide
 from toolkit.semantics.segmenters.geometric.gravity import UpEstimator
 from toolkit.semantics.segmenters.geometric.levelled import LevelledGrid
 from toolkit.semantics.segmenters.geometric.levels import Level
@@ -29,15 +30,16 @@ class Room:
 
     Args:
         camera_height_m: minimum and maximum height of the camera above the floor.
+        side: the side of the images that is up.
 
     Attributes:
         up: estimator of the up direction.
         walls: vertical planes.
     """
 
-    def __init__(self, camera_height_m: tuple[float, float]) -> None:
+    def __init__(self, camera_height_m: tuple[float, float], side: ImageSide = "top") -> None:
         self._camera_height_m = camera_height_m
-        self.up = UpEstimator()
+        self.up = UpEstimator(side)
         self._reset()
 
     def _reset(self) -> None:

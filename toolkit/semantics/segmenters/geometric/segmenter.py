@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame
+from toolkit.geometry.image_sides import ImageSide
 from toolkit.semantics.options import GeometricOptions
 from toolkit.semantics.segmenters.geometric.labelling import (
     CEILING,
@@ -41,21 +42,24 @@ class GeometricSegmenter:
     same frame. A frame without a pose is labelled independently and does not change the state.
     Pixels without depth are void.
 
+    Args:
+        options: heights of the camera.
+        side: the side of the images that is up.
+
     Raises:
         DependencyError: Open3D cannot be loaded (raised by `segment`).
     """
 
-    def __init__(self, options: GeometricOptions | None = None) -> None:
+    def __init__(self, options: GeometricOptions | None = None, side: ImageSide = "top") -> None:
         self.class_names: Mapping[int, str] = CLASS_NAMES
         # Of the pairs of views with less than 50 % overlap, 86 % (7-Scenes RedKitchen) and 89 %
         # (four synthetic rooms) have a larger divergence; with 40 classes, 94 % are above 0.4.
         self.place_divergence = 0.05
-        self._options = options or GeometricOptions()
+        self._options, self._side = options or GeometricOptions(), side
         self._room = self._new_room()
 
     def _new_room(self) -> Room:
-        options = self._options
-        return Room((options.min_camera_height_m, options.max_camera_height_m))
+        return Room(self._options.camera_height_m, self._side)
 
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None

@@ -1,0 +1,91 @@
+"""The side of a recording's images that is up: stated, measured by the device, or estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.findings import readable_frames
+from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.registration_check import evenly_spaced_frames
+from toolkit.errors import DependencyError
+from toolkit.geometry.image_sides import ImageSide, nearest_side
+from toolkit.runs.settings import RunSettings
+from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
+from toolkit.slam.length_unit import METRE, LengthUnit
+
+_FRAMES = 16
+
+
+@dataclass(frozen=True)
+class FoundSide:
+    """The side of the images that is up.
+
+    Attributes:
+        side: the side.
+        findings: a line if it is in doubt.
+        notes: a line if another side than the top was found.
+    """
+
+    side: ImageSide
+    findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def chosen(self, settings: RunSettings) -> RunSettings:
+        """Return the settings with this side."""
+        return replace(settings, dataset=replace(settings.dataset, up=self.side))
+
+
+def up_side(options: DatasetOptions) -> ImageSide:
+    """Return the side of the options; the top if it is not determined."""
+    return "top" if options.up == "auto" else options.up
+
+
+def find_side(
+    dataset: RecordedDataset, options: DatasetOptions, has_depth: bool = True
+) -> FoundSide:
+    """Find the side of a recording's images that is up.
+
+    Args:
+        options: may state the side.
+        has_depth: whether the run uses the depth of the recording; otherwise, only the options and
+            gravity count, as without Open3D.
+    """
+    if options.up != "auto":
+        return FoundSide(options.up)
+    judgement = _by_gravity(dataset)
+    if judgement is None:
+        judgement = _by_depth(dataset) if has_depth else SideJudgement("top")
+    side, rival = judgement.side, judgement.rival
+    # Labelled floors determine the vertical.
+    findings = () if rival is None or dataset.label_names else (_doubt(side, rival),)
+    notes = () if side == "top" else (f"the {_named(side)} of the images is up",)
+    return FoundSide(side, findings, notes)
+
+
+def _by_gravity(dataset: RecordedDataset) -> SideJudgement | None:
+    up, truth = dataset.recording.up_world, dataset.recording.ground_truth
+    if up is None or truth is None or not len(truth):
+        return None
+    return SideJudgement(nearest_side(up @ truth.T_world_camera[:, :3, :3]))
+
+
+def _by_depth(dataset: RecordedDataset) -> SideJudgement:
+    # Sizes of floors and furniture are those of rooms.
+    unit = LengthUnit.of(dataset) or METRE
+    indices = evenly_spaced_frames(len(dataset), _FRAMES)
+    try:
+        return judge_side(unit.frame(frame) for frame in readable_frames(dataset, indices))
+    except DependencyError:  # labels from depth, which need the side, report it
+        return SideJudgement("top")
+
+
+def _doubt(side: ImageSide, rival: ImageSide) -> str:
+    return (
+        f"the vertical is in doubt: the {_named(side)} of the images is taken as up, but floor and "
+        f"walls may also fit the {_named(rival)}; --dataset.up {rival} (or {side}) states it"
+    )
+
+
+def _named(side: ImageSide) -> str:
+    return f"{side} side" if side in ("left", "right") else side
