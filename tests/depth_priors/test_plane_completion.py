@@ -50,12 +50,38 @@ def test_noise_and_some_wrong_depth_around_the_hole_do_no_harm():
     assert (error < found.relative_sigma[inside]).mean() > 0.6
 
 
+def framed(colour: float = 0.8) -> np.ndarray:
+    intensity = GREY.copy()
+    intensity[20:70, 30:90] = colour
+    return intensity
+
+
 def test_a_wall_does_not_continue_behind_an_object():
     """The hole belongs to a board of another colour, whose own depth is not known."""
-    intensity = GREY.copy()
-    intensity[20:70, 30:90] = 0.8
-    found = completed(intensity, hole(np.s_[20:70], np.s_[30:90]))
+    found = completed(framed(), hole(np.s_[12:78], np.s_[22:98]))
     assert not found.inverse_depth[23:67, 33:87].any()
+
+
+def test_edges_that_bound_a_plain_door_carry_its_plane():
+    inside = np.s_[24:66, 34:86]
+    edges = hole(np.s_[:], np.s_[:])
+    for rows, columns in ((np.s_[18:22], np.s_[28:92]), (np.s_[68:72], np.s_[28:92])):
+        edges[rows, columns] = WALL[rows, columns]
+    for columns in (np.s_[28:32], np.s_[88:92]):
+        edges[18:72, columns] = WALL[18:72, columns]
+    found = completed(framed(), edges)
+    np.testing.assert_allclose(found.inverse_depth[inside], WALL[inside], rtol=1e-3)
+
+
+def test_something_in_front_of_a_wall_does_not_bend_it():
+    depth = hole(np.s_[20:70], np.s_[30:90])
+    depth[60:, 30:90] = 0.0
+    depth[71:85, 30:90] = 1.5 * WALL[71:85, 30:90]
+    intensity = GREY.copy()
+    intensity[71:85, 30:90] = 0.1
+    inside = np.s_[25:65, 35:85]
+    found = completed(intensity, depth)
+    np.testing.assert_allclose(found.inverse_depth[inside], WALL[inside], rtol=1e-3)
 
 
 def test_a_surface_is_not_continued_far_beyond_its_known_part():
