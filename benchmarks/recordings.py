@@ -30,6 +30,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "room-glossy": ("--frames", "200", *_SMALL, "--glossy"),
     "room-polished": ("--frames", "200", *_SMALL, "--glossy", "--polish", "0.3"),
     "room-weak": ("--texture", "weak"),
+    "room-plain": ("--texture", "plain", "--frames", "200", *_NOISE),
     "room-narrow": ("--fov-deg", "30"),
     "ring": (*_RING, "--sensor-noise"),
     "ring-ideal": _RING,

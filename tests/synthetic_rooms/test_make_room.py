@@ -15,6 +15,7 @@ from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.synthetic_rooms import RoomSettings, SensorModel, make_room, tiny_room
+from toolkit.synthetic_rooms.layouts import PLAIN_CLASSES
 from toolkit.synthetic_rooms.unseen import _visible_fraction, poses_off_the_path
 from toolkit.synthetic_rooms.writer import _stored
 
@@ -165,17 +166,28 @@ def test_tiny_rooms_differ_by_seed_and_by_sensor():
 
 def test_options_of_the_program_change_texture_and_field_of_view(made, tmp_path):
     small = ("--frames", "1", "--share", "0.1", "--image-size", "64", "48", "--unseen", "0")
-    for name, options in {"weak": ["--texture", "weak"], "narrow": ["--fov-deg", "30"]}.items():
+    changes = {"narrow": ["--fov-deg", "30"]}
+    changes |= {texture: ["--texture", texture] for texture in ("weak", "plain")}
+    for name, options in changes.items():
         words = ["make-room", "--out", str(tmp_path / name), *small, *options]
         assert program(words) == 0
-    normal, weak, narrow = (
-        open_dataset("synthetic", path) for path in (made, tmp_path / "weak", tmp_path / "narrow")
+    normal = open_dataset("synthetic", made)
+    weak, plain, narrow = (
+        open_dataset("synthetic", tmp_path / name) for name in ("weak", "plain", "narrow")
     )
     # The same surfaces with less contrast; the median pixel lies within one.
     np.testing.assert_array_equal(weak[0].depth_m, normal[0].depth_m)
     detail = [np.median(np.abs(np.diff(room[0].rgb, n=2, axis=1))) for room in (weak, normal)]
     assert detail[0] < 0.6 * detail[1]
     assert np.abs(weak[0].rgb.mean((0, 1)) - normal[0].rgb.mean((0, 1))).max() < 0.05
+    names = {name: number for number, name in normal.label_names.items()}
+    shell = np.isin(normal[0].labels, [names[name] for name in PLAIN_CLASSES if name in names])
+    assert shell.mean() > 0.2
+    changes = [
+        np.abs(np.diff(room[0].rgb, n=2, axis=1))[shell[:, 1:-1]] for room in (plain, normal)
+    ]
+    assert np.median(changes[0]) < 0.6 * np.median(changes[1])
+    np.testing.assert_allclose(plain[0].rgb[~shell], normal[0].rgb[~shell], atol=0.1)
     # The middle of the same image.
     assert normal.camera.fx == pytest.approx(0.8 * 64)
     assert np.degrees(2 * np.arctan(32 / narrow.camera.fx)) == pytest.approx(30.0)

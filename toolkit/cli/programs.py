@@ -289,10 +289,10 @@ class MakeRoomOptions:
     polish: Annotated[float, Range(gt=0, lt=1)] = 0.07
     """With --glossy, the fraction of the light that the floor reflects where it is seen from above;
     more at grazing angles."""
-    texture: Literal["normal", "weak", "wallpaper", "stripes"] = "normal"
+    texture: Literal["normal", "weak", "plain", "wallpaper", "stripes"] = "normal"
     """Texture of all surfaces. Weak ones keep a tenth of their contrast, so that images show little
-    but the edges and shadows of objects. With wallpaper or stripes, all walls have a pattern that
-    repeats exactly every 12.5 cm."""
+    but the edges and shadows of objects. Plain walls, ceilings, floors and doors show none at all.
+    With wallpaper or stripes, all walls have a pattern that repeats exactly every 12.5 cm."""
     fov_deg: Annotated[float, Range(ge=10, le=120)] | None = None
     """Horizontal field of view of the camera, in degrees. By default, 64 degrees."""
     unseen: NonNegativeInt = 20

@@ -324,9 +324,16 @@ def build_scene(
     if look.texture in WALL_PAPERS:
         papered = tuple(replace(plan, wall=WALL_PAPERS[look.texture]) for plan in layout.rooms)
         layout = replace(layout, rooms=papered)
+    names = collection or (GLOSSY_CLASS_NAMES if look.glossy else CLASS_NAMES)
     parts = build_parts(layout, seed, collection, later)
     if contrast < 1.0:
-        parts = [replace(part, texture=weakened(part.texture, contrast)) for part in parts]
+        kept = PLAIN_CLASSES if look.texture == "plain" else names
+        parts = [
+            replace(part, texture=weakened(part.texture, contrast))
+            if part.class_name in kept
+            else part
+            for part in parts
+        ]
     if look.glossy:
         parts = polished(parts)
     lamps_m = lamp_places(layout.rooms)
@@ -334,13 +341,19 @@ def build_scene(
         first = layout.rooms[0]
         own, others = lamp_places((first,)), lamp_places(layout.rooms[1:])
         lamps_m = np.concatenate([layout.revisit.lamps_m(first, own), others])
-    names = collection or (GLOSSY_CLASS_NAMES if look.glossy else CLASS_NAMES)
     polish = look.polish if look.glossy else None
     return Scene(parts, lamps_m, texel_m, numbered(names), polish)
 
 
-# The fraction of each texture's contrast that is kept.
-TEXTURES: dict[str, float] = {"normal": 1.0, "weak": 0.1, "wallpaper": 1.0, "stripes": 1.0}
+# The fraction of each texture's contrast that is kept: of all surfaces, or of those around a room.
+TEXTURES: dict[str, float] = {
+    "normal": 1.0,
+    "weak": 0.1,
+    "plain": 0.0,
+    "wallpaper": 1.0,
+    "stripes": 1.0,
+}
+PLAIN_CLASSES = ("wall", "ceiling", "floor", "door")
 # Textures of all walls. The period is a whole number of texels in images of 320 and 640 pixels.
 WALL_PERIOD_M = 0.125
 WALL_PAPERS: dict[str, Texture] = {

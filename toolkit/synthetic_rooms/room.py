@@ -61,8 +61,9 @@ class RoomSettings:
         sensor: simulated effects of a real camera, or None for ideal images.
         unseen: number of test views off the path, which are always ideal and without a walker.
         walker: whether a person walks through the view for a part of the sequence.
-        texture: "normal"; "weak": all surfaces are nearly uniform; "wallpaper" or "stripes": that
-            of all walls, which repeats every 12.5 cm.
+        texture: "normal"; "weak": all surfaces are nearly uniform; "plain": walls, ceilings,
+            floors and doors are uniform; "wallpaper" or "stripes": that of all walls, which repeats
+            every 12.5 cm.
         fov_deg: horizontal field of view in degrees, from 10 to 120; None for that of common
             RGB-D cameras, 64.
         classes: number of classes of a room whose walls are covered with shelves of small objects,
