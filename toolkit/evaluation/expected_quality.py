@@ -136,7 +136,7 @@ def _reasons(metrics: Mapping[str, Any], reported: bool) -> Iterator[str]:
         yield "depth priors that are not what is declared"
     yield "intrinsics or a lens distortion that are not those of the camera"
     if found["expected_depth_percent"] is not None:
-        yield "depth that is not registered to colour"
+        yield "depth that is wrong, or not registered to colour"
     yield "motion blur" if in_place else "moving things"
 
 
