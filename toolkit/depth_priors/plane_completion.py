@@ -31,7 +31,7 @@ _EDGE_PX = 6
 _TOLERANCE, _MIN_SHARE = 0.02, 0.75
 # Share of all points that must be on it, since nearer objects may bound a hole; and weight of those
 # beyond it in the choice of the plane.
-_MIN_OF_ALL, _SEEN_THROUGH = 0.3, 2
+_MIN_OF_ALL, _SEEN_THROUGH = 0.5, 2
 _TRIALS, _TRIAL_POINTS = 40, 200
 # A pixel is completed if its depth follows from the plane: its leverage is 1 in the centre of the
 # points, and above 8 at twice their extent.
