@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from toolkit.datasets import video
-from toolkit.datasets.agreement.refine import with_refined_intrinsics
+from toolkit.datasets.agreement.refine import with_intrinsics, with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.carrier import without_carrier
 from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
 from toolkit.datasets.depth_samples import with_usable_depth
+from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.shutter.recording import estimate_readout, with_readout
@@ -28,10 +30,23 @@ _MAX_PIXELS = 400_000
 _REDUCED_SIDE = 640
 
 
-def with_depth(recording: Recording, options: DatasetOptions, max_frames: int | None) -> Recording:
-    """Prepare the depth of a recording: leave out unusable depth, shift it, find the carrier."""
+def with_depth(
+    recording: Recording,
+    options: DatasetOptions,
+    max_frames: int | None,
+    known: RecordingEstimates | None,
+) -> Recording:
+    """Prepare the depth of a recording: leave out unusable depth, shift it, find the carrier.
+
+    Args:
+        max_frames: maximum number of frames from the start, or None for all.
+        known: replaces what would be estimated.
+    """
     recording = with_usable_depth(recording, max_frames)
-    recording = _with_offset(recording, options, max_frames)
+    offset = options.depth_offset
+    if offset == "auto" and known is not None and known.fit(recording):
+        offset = known.depth_offset_px
+    recording = _with_offset(recording, offset, max_frames)
     if options.ignore_carrier:
         recording = without_carrier(recording, max_frames)
     if options.readout_ms != "auto":
@@ -48,16 +63,26 @@ def without_depth(recording: Recording) -> Recording:
 
 
 def with_estimates(
-    recording: Recording, options: DatasetOptions, max_frames: int | None
+    recording: Recording,
+    options: DatasetOptions,
+    max_frames: int | None,
+    known: RecordingEstimates | None,
 ) -> Recording:
     """Estimate the intrinsics, if the options demand it, and the readout, if it is not known.
 
     Args:
         recording: with depth and intrinsics.
         max_frames: maximum number of frames from the start, or None for all.
+        known: replaces what would be estimated.
     """
-    if options.intrinsics == "refine":
+    if known is not None and not known.fit(recording):
+        known = None
+    if options.intrinsics == "refine" and known is not None:
+        recording = with_intrinsics(recording, known.camera, known.distortion)
+    elif options.intrinsics == "refine":
         recording = with_refined_intrinsics(recording, max_frames)
+    if recording.readout_s is None and known is not None:
+        recording = known.with_readout(recording)
     if recording.readout_s is None:
         recording = _with_readout(recording, max_frames)
     return recording
@@ -152,10 +177,11 @@ def with_fov(recording: Recording, fov_deg: float, path: Path) -> Recording:
 
 
 def _with_offset(
-    recording: Recording, options: DatasetOptions, max_frames: int | None
+    recording: Recording,
+    offset: Literal["auto"] | tuple[float, float] | None,
+    max_frames: int | None,
 ) -> Recording:
-    """A recording whose depth is shifted to match its colour images, as the options demand."""
-    offset = options.depth_offset
+    """A recording whose depth is shifted to match its colour images; None does not shift it."""
     if offset is None:
         return recording
     if offset != "auto":

@@ -25,6 +25,7 @@ from toolkit.datasets import (
     video,
 )
 from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.datasets.findings import camera_faults, pose_faults
 from toolkit.datasets.options import BagTopics, DatasetKind, DatasetOptions
 from toolkit.datasets.preparation import (
@@ -95,11 +96,13 @@ def open_place(
     image_size: tuple[int, int] | None = None,
     max_frames: int | None = None,
     needs_depth: bool = True,
+    known: RecordingEstimates | None = None,
 ) -> RecordedDataset:
     """Open the dataset that options name; see `open_dataset`.
 
     Args:
         place: with the path of the dataset.
+        known: what a run has estimated of the recording, which is not estimated again.
     """
     assert place.path is not None
     recording = describe(place.kind, place.path, place.topics)
@@ -108,7 +111,7 @@ def open_place(
     if place.fov_deg is not None:
         recording = with_fov(recording, place.fov_deg, place.path)
     if needs_depth:
-        recording = with_depth(recording, place, max_frames)
+        recording = with_depth(recording, place, max_frames, known)
     else:
         image_size = image_size or reduced_size(recording)
     dataset = RecordedDataset(recording, image_size, max_frames)
@@ -116,7 +119,7 @@ def open_place(
     first = dataset[0]
     if needs_depth:
         check_depth(dataset, first, place.path)
-        recording = with_estimates(recording, place, max_frames)
+        recording = with_estimates(recording, place, max_frames, known)
         dataset = RecordedDataset(recording, image_size, max_frames)
     for flaw in recording.flaws:
         _log.warning("%s: %s", dataset.name, flaw)

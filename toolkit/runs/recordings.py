@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.datasets.registry import open_place
 from toolkit.runs.modes import mode_of
 from toolkit.runs.settings import RunSettings
@@ -16,12 +17,14 @@ def open_recording(
     settings: RunSettings,
     path: str | os.PathLike[str],
     image_size: tuple[int, int] | None = None,
+    known: RecordingEstimates | None = None,
 ) -> RecordedDataset:
     """Open the dataset of a run.
 
     Args:
         path: of the dataset; that of the settings may be relative, missing or moved.
         image_size: width and height in pixels; by default those of the settings.
+        known: what a finished run has estimated of the recording, which is not estimated again.
 
     Raises:
         DatasetError: it does not exist or is inconsistent.
@@ -29,4 +32,4 @@ def open_recording(
     """
     place = replace(settings.dataset, path=Path(path))
     size, needs_depth = image_size or settings.image_size, mode_of(settings).needs_depth
-    return open_place(place, size, settings.max_frames, needs_depth)
+    return open_place(place, size, settings.max_frames, needs_depth, known)
