@@ -28,7 +28,8 @@ from toolkit.exports.selection import select
 from toolkit.growing_scene.options import GrowingSceneOptions
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.results import RunRecord, write_results
+from toolkit.runs.outcome import RunRecord
+from toolkit.runs.results import write_results
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.stages import Stage
 

@@ -27,7 +27,7 @@ from toolkit.evaluation.metrics import flattened, read_metrics
 from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation import evaluate_scene
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.results import tracked_frames
+from toolkit.runs.outcome import tracked_frames
 from toolkit.runs.settings import load_settings
 
 COLUMNS = (

@@ -30,7 +30,7 @@ from toolkit.geometry.camera import Camera
 from toolkit.keyframe import Keyframe
 from toolkit.options import validated
 from toolkit.rendering import render
-from toolkit.runs.results import tracked_frames
+from toolkit.runs.outcome import tracked_frames
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.system import Slam
 

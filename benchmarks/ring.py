@@ -44,7 +44,7 @@ from toolkit.datasets.registry import open_dataset
 from toolkit.evaluation.run_metrics import measure_run
 from toolkit.geometry import se3
 from toolkit.options import validated
-from toolkit.runs.results import tracked_frames
+from toolkit.runs.outcome import tracked_frames
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam

@@ -26,7 +26,8 @@ from toolkit.loops.log import read_loop_log
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.modes import RunInput
-from toolkit.runs.results import RunRecord, write_results
+from toolkit.runs.outcome import RunRecord
+from toolkit.runs.results import write_results
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam

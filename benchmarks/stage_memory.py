@@ -33,7 +33,7 @@ from toolkit.options import validated
 from toolkit.runs import results
 from toolkit.runs.building import build_slam
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.results import RunRecord
+from toolkit.runs.outcome import RunRecord
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.stages import Stage
 
@@ -44,8 +44,8 @@ ROWS: dict[str, dict[str, Any]] = {
 }
 _WRITING = {
     "evaluation": "evaluate_scene",
-    "rendered views": "_render_views",
-    "report": "_report",
+    "rendered views": "render_views",
+    "report": "report_content",
 }
 COLUMNS = (
     *("libraries", Stage.FRAME.value, Stage.TRACKING.value, Stage.MAPPING.value),

@@ -17,6 +17,8 @@ from test_finished_run_programs import one_line_of_error
 from toolkit.cli.main import main
 from toolkit.io.images import read_rgb
 from toolkit.io.splats import read_splats
+from toolkit.runs.labelled import taxonomy_of_file
+from toolkit.semantics.taxonomy import Taxonomy
 
 SUFFIXES = (".splats.glb", ".splats.gltf", ".usda", ".usdc", ".usdz")
 
@@ -91,11 +93,13 @@ def test_what_has_no_splats_is_refused_in_one_line(labelled_run, tmp_path, capsy
 
 def test_splat_files_are_converted_in_chains_without_loss_of_labels(labelled_run, tmp_path):
     """A file of any tool, to any other format; what is not quantised stays as it is."""
+    tree = Taxonomy.load(labelled_run / "taxonomy.yaml").to_json()
     before = read_splats(labelled_run / "map.ply")
     source = labelled_run / "map.ply"
-    for name in ("a.splats.glb", "b.ply", "c.sog", "d.spz", "e.ply"):
+    for name in ("a.splats.glb", "b.ply", "c.splats.gltf", "d.sog", "e.spz", "f.ply"):
         target = tmp_path / name
         assert main(["export", str(source), "--to", str(target)]) == 0
+        assert taxonomy_of_file(target, read_splats(target)).to_json() == tree
         source = target
     exact = read_splats(tmp_path / "b.ply")
     np.testing.assert_array_equal(exact.means, before.means)

@@ -12,7 +12,7 @@ import pytest
 from bag_writing import STORAGES, BagContent
 
 from toolkit.datasets.checks import check_recording
-from toolkit.datasets.options import BagTopics
+from toolkit.datasets.options import BagTopics, DatasetOptions
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError
 
@@ -65,7 +65,7 @@ def colour_only(folder: Path, topics: dict[str, str], **info) -> Path:
 
 
 def opened(path: Path, **options):
-    return open_dataset("bag", path, needs_depth=False, **options)
+    return open_dataset("bag", path, needs_depth=False, options=DatasetOptions(**options))
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -197,8 +197,9 @@ def test_ambiguous_topics_are_listed_with_the_option_that_selects(tmp_path):
 
 
 def test_topics_are_for_bags(make_folder):
+    options = DatasetOptions(topics=BagTopics(colour="/rgb"))
     with pytest.raises(DatasetError, match="remove it for folder"):
-        open_dataset("folder", make_folder(), topics=BagTopics(colour="/rgb"))
+        open_dataset("folder", make_folder(), options=options)
 
 
 @pytest.mark.parametrize(
@@ -252,7 +253,8 @@ def test_depth_needs_intrinsics(tmp_path):
     path = content.write(tmp_path)
     with pytest.raises(DatasetError, match="has no intrinsics; add them"):
         open_dataset("bag", path)
-    assert open_dataset("bag", path, fov_deg=90.0).camera.fx == pytest.approx(16.0)
+    dataset = open_dataset("bag", path, options=DatasetOptions(fov_deg=90.0))
+    assert dataset.camera.fx == pytest.approx(16.0)
 
 
 def test_messages_without_stamps_take_the_time_of_recording(tmp_path):

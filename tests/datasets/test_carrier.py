@@ -10,6 +10,7 @@ from moving_room import CAMERA, exposed
 
 from toolkit.datasets.carrier import CellImages, find_carrier
 from toolkit.datasets.checks import check_recording
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import RunFolderError
 from toolkit.frame import Frame
@@ -154,7 +155,8 @@ def test_it_is_ignored_in_the_frames_of_a_run(body_recording, size):
     assert rows[-1] == frame.camera.height - 1
     # The border between body and room, in the rows of the image.
     assert abs(rows[0] - (0.77 * HEIGHT - 35.5) * frame.camera.fy / CAMERA.fy - frame.camera.cy) < 2
-    assert open_dataset("folder", body_recording, size, ignore_carrier=False)[3].ignored is None
+    whole = DatasetOptions(ignore_carrier=False)
+    assert open_dataset("folder", body_recording, size, options=whole)[3].ignored is None
 
 
 def test_a_run_is_resumed_with_the_same_mask_only(body_recording):
@@ -162,6 +164,6 @@ def test_a_run_is_resumed_with_the_same_mask_only(body_recording):
     np.testing.assert_array_equal(first.recording.carrier, again.recording.carrier)
     saved = identity_of(first, 6, given_poses=False)
     check_identity(saved, identity_of(again, 6, given_poses=False), "run")
-    other = open_dataset("folder", body_recording, ignore_carrier=False)
+    other = open_dataset("folder", body_recording, options=DatasetOptions(ignore_carrier=False))
     with pytest.raises(RunFolderError, match="what moves with the camera"):
         check_identity(saved, identity_of(other, 6, given_poses=False), "run")

@@ -9,6 +9,7 @@ import pytest
 
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.depth_offset import estimate_depth_offset
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.resize import ImageGrid
 from toolkit.frame import Frame
@@ -114,7 +115,7 @@ def recording(tmp_path):
 
 def test_auto_estimates_the_offset_of_a_dataset(recording, caplog):
     with caplog.at_level("INFO"):
-        dataset = open_dataset("folder", recording, depth_offset="auto")
+        dataset = open_dataset("folder", recording, options=DatasetOptions(depth_offset="auto"))
     assert "depth is shifted by (+1." in caplog.text
     np.testing.assert_allclose(dataset.recording.depth_offset_px, (1.2, -0.6), atol=0.2)
     # Edges move by whole pixels, because surfaces are not mixed.
@@ -123,7 +124,7 @@ def test_auto_estimates_the_offset_of_a_dataset(recording, caplog):
 
 
 def test_a_stated_offset_is_used(recording):
-    dataset = open_dataset("folder", recording, depth_offset=(2.0, 0.0))
+    dataset = open_dataset("folder", recording, options=DatasetOptions(depth_offset=(2.0, 0.0)))
     shifted = np.roll(open_dataset("folder", recording)[0].depth_m, 2, axis=1)
     np.testing.assert_allclose(dataset[0].depth_m[:, 2:], shifted[:, 2:])
 
@@ -136,6 +137,6 @@ def test_check_data_notes_the_offset(recording):
 def test_an_undetermined_offset_is_reported_and_not_removed(recording, caplog):
     for path in (recording / "depth").iterdir():
         cv2.imwrite(str(path), np.full((120, 160), 2000, np.uint16))
-    dataset = open_dataset("folder", recording, depth_offset="auto")
+    dataset = open_dataset("folder", recording, options=DatasetOptions(depth_offset="auto"))
     assert "not determined (there are only 0 pixels" in caplog.text
     assert dataset.recording.depth_offset_px == (0.0, 0.0)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from film_boxes import box, change, turned_upright
 
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.video import FILM_FOCAL_SIGMA, STABILISATION_CROP, TYPICAL_FOCAL
 from toolkit.io.quicktime import EQUIVALENT_FOCAL_MM, read_metadata
@@ -49,7 +50,7 @@ def add_to(kind: bytes, addition: bytes) -> Callable[[bytes, bytes], bytes]:
 
 
 def opened(path: Path, **options):
-    return open_dataset("video", path, needs_depth=False, **options)
+    return open_dataset("video", path, needs_depth=False, options=DatasetOptions(**options))
 
 
 @pytest.mark.parametrize("place", [b"moov", b"trak"])

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.pairing import associate
 from toolkit.datasets.registry import KINDS, describe, open_dataset
 from toolkit.errors import DatasetError, FormatError
@@ -208,9 +209,11 @@ def test_the_readout_of_a_rolling_shutter_can_be_specified(make_folder):
     folder = make_folder(intrinsics={"readout_ms": 20})
     whole = open_dataset("folder", folder)
     assert whole[0].readout_s == pytest.approx(0.02)
-    assert open_dataset("folder", folder, readout_ms=12)[0].readout_s == pytest.approx(0.012)
+    options = DatasetOptions(readout_ms=12)
+    assert open_dataset("folder", folder, options=options)[0].readout_s == pytest.approx(0.012)
     # Without depth, motion is estimated from the images as they are.
-    assert open_dataset("folder", folder, needs_depth=False, readout_ms=12)[0].readout_s == 0.0
+    without = open_dataset("folder", folder, needs_depth=False, options=options)
+    assert without[0].readout_s == 0.0
     # A crop contains a part of the rows.
     width, height = whole.camera.size
     cropped = open_dataset("folder", folder, image_size=(2 * width, height))[0]

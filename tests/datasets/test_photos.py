@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.orientation import oriented, oriented_camera, oriented_distortion
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.video import TYPICAL_FOCAL
@@ -56,7 +57,7 @@ def photos(tmp_path) -> Path:
 
 
 def opened(path: Path, **options):
-    return open_dataset("images", path, needs_depth=False, **options)
+    return open_dataset("images", path, needs_depth=False, options=DatasetOptions(**options))
 
 
 def test_images_are_in_natural_order_without_intrinsics(photos):

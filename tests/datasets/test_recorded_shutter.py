@@ -9,6 +9,7 @@ import pytest
 from moving_room import CAMERA, MovingRoom
 
 from toolkit.datasets.checks import check_recording
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.io import images
 
@@ -43,8 +44,10 @@ def test_the_readout_is_estimated_by_default(folder):
 
 
 def test_a_stated_readout_is_used(folder):
-    assert open_dataset("folder", folder, readout_ms=0)[0].readout_s == 0.0
-    assert open_dataset("folder", folder, readout_ms=12)[0].readout_s == pytest.approx(0.012)
+    for readout_ms in (0, 12):
+        options = DatasetOptions(readout_ms=readout_ms)
+        stated = open_dataset("folder", folder, options=options)[0]
+        assert stated.readout_s == pytest.approx(1e-3 * readout_ms)
     assert open_dataset("folder", folder, needs_depth=False)[0].readout_s == 0.0
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from toolkit.datasets.checks import check_recording
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.video import TYPICAL_FOCAL
 from toolkit.errors import DatasetError
@@ -27,8 +28,9 @@ def film(tmp_path) -> Path:
     return path
 
 
-def opened(path: Path, **options):
-    return open_dataset("video", path, needs_depth=False, **options)
+def opened(path: Path, image_size: tuple[int, int] | None = None, **values):
+    options = DatasetOptions(**values)
+    return open_dataset("video", path, image_size, needs_depth=False, options=options)
 
 
 def test_every_frame_has_its_time_and_no_depth(film):

@@ -21,7 +21,14 @@ from toolkit.rendering import render
 COUNT = 40
 # A floor that is not level in the frame of the map, far from the origin.
 TILTED = se3.exp(np.array([3e5, 4e6, 57.0, 0.3, -0.7, 1.1]))
-NOTES = SplatScene(comments=("origin_m 1 2 3", "a note"), classes={1: "chair", 2: "Tür"})
+# Neither names nor nodes are in alphabetical order.
+TREE = {
+    "name": "tree",
+    "levels": ["group", "class"],
+    "classes": ["chair", "Tür"],
+    "tree": {"seating": {"chair": {}}, "building": {"Tür": {}}},
+}
+NOTES = SplatScene(comments=("origin_m 1 2 3", "a note"), taxonomy=TREE)
 
 
 def spheres() -> GaussianCloud:

@@ -19,6 +19,7 @@ from splat_examples import (
     COUNT,
     NOTES,
     TILTED,
+    TREE,
     assert_same_labels,
     assert_same_splats,
     ellipsoids,
@@ -84,6 +85,7 @@ def test_a_map_with_labels_is_read_as_it_was_written(tmp_path, suffix, placement
     read = read_splats(path)
     assert_same_splats(read, cloud)
     assert_same_labels(read.labels, labels())
+    assert json.dumps(read.taxonomy) == json.dumps(TREE)  # in the same order
     content = path.read_bytes()
     export_splat_scene(path, cloud, labels().columns(), scene)
     assert path.read_bytes() == content
@@ -341,6 +343,15 @@ def test_buffers_that_are_not_beside_the_file_are_refused(tmp_path, uri):
     with pytest.raises(FormatError) as error:
         read_splats(tmp_path / "a.gltf")
     assert one_line(error.value, tmp_path / "a.gltf")
+
+
+@pytest.mark.parametrize("extras", [3, {"comments": 3, "taxonomy": ["chair"]}])
+def test_extras_of_other_programs_are_no_notes(tmp_path, extras):
+    export_splats(tmp_path / "a.glb", spheres())
+    tree, binary = parsed(tmp_path / "a.glb")
+    tree["asset"]["extras"] = extras
+    read = read_splats(write_parsed(tmp_path / "b.glb", tree, binary))
+    assert read.comments == () and read.taxonomy is None
 
 
 def test_columns_that_gltf_cannot_hold_are_refused(tmp_path):

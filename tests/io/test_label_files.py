@@ -39,6 +39,17 @@ def test_labels_follow_the_order_of_the_file(tmp_path, cloud, labels, suffix):
     assert read.taxonomy == TAXONOMY
 
 
+@pytest.mark.parametrize("suffix", [*SUFFIXES, ".ply", ".glb"])
+def test_the_class_tree_is_read_from_every_format(tmp_path, cloud, labels, suffix):
+    """And is not left beside a later map without classes."""
+    path = tmp_path / f"map{suffix}"
+    export_splats(path, cloud, labels.columns(), taxonomy=TAXONOMY)
+    assert read_splats(path).taxonomy == TAXONOMY
+    export_splats(path, cloud)
+    assert read_splats(path).taxonomy is None
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
 def test_objects_follow_the_order_of_the_file(tmp_path, cloud, labels):
     numbers = np.arange(len(cloud), dtype=np.int32)
     path = tmp_path / "map.sog"

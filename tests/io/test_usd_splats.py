@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import zipfile
 from dataclasses import replace
@@ -14,6 +15,7 @@ from splat_examples import (
     COUNT,
     NOTES,
     TILTED,
+    TREE,
     assert_same_labels,
     assert_same_splats,
     ellipsoids,
@@ -62,6 +64,7 @@ def test_a_map_with_labels_is_read_as_it_was_written(tmp_path, suffix, placement
     read = read_splats(path)
     assert_same_splats(read, cloud)
     assert_same_labels(read.labels, labels())
+    assert json.dumps(read.taxonomy) == json.dumps(TREE)  # in the same order
     content = path.read_bytes()
     export_splat_scene(path, cloud, labels().columns(), scene)
     assert path.read_bytes() == content

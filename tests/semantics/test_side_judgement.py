@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from box_room import looking, see, walk
 
+from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.orientation import oriented, oriented_camera
 from toolkit.datasets.registration_check import evenly_spaced_frames
 from toolkit.datasets.registry import open_dataset
@@ -84,7 +85,8 @@ RECORDINGS = [
 
 
 def some_frames(kind: str, path: Path) -> list[Frame]:
-    dataset = open_dataset(kind, path, readout_ms=0.0, ignore_carrier=False)
+    options = DatasetOptions(readout_ms=0.0, ignore_carrier=False)
+    dataset = open_dataset(kind, path, options=options)
     return [dataset[i] for i in evenly_spaced_frames(len(dataset), 16)]
 
 

@@ -145,7 +145,7 @@ def test_a_loop_between_parts_makes_them_one(room):
     fed(slam, sequence(room))
     assert slam.parts == [(0,), (1,)]
     T = se3.exp(np.array([0.5, 0.0, 0.0, 0.0, 0.3, 0.0]))
-    slam._closer.loops.append(slam._closer._parts.loop_noise.edge(0, 1, T, 1e6 * np.eye(6)))
+    slam._closer._graph.loops.append(slam._closer._parts.loop_noise.edge(0, 1, T, 1e6 * np.eye(6)))
     assert slam.parts == [(0, 1)]
     joined = slam.result()
     assert joined.other_parts == [] and len(joined.frame_indices) == 8

@@ -134,7 +134,7 @@ def test_a_new_submap_after_the_way_back_is_linked_to_the_newest_one(there_and_b
     newest = len(slam.atlas) - 1
     assert newest > 1 and slam.atlas.active == 0
     closer = slam._closer
-    way = closer._odometry.ways_back[0]
+    way = closer._graph.odometry.ways_back[0]
     assert (way.first, way.second) == (newest, 0)
     expected = np.linalg.inv(slam.atlas.T_world_submap(newest)) @ slam.atlas.T_world_submap(0)
     assert np.abs(way.T_first_second - expected).max() < 0.02
@@ -148,11 +148,11 @@ def test_the_link_after_the_way_back_is_what_was_measured(there_and_back):
     fed(slam, there_and_back[0])
     atlas, closer = slam.atlas, slam._closer
     newest = len(atlas) - 1
-    expected = closer._odometry.ways_back[0].T_first_second @ atlas.keyframes[-1].T_map_camera
+    expected = closer._graph.odometry.ways_back[0].T_first_second @ atlas.keyframes[-1].T_map_camera
     atlas.move(newest, se3.exp(np.full(6, 0.1)) @ atlas.T_world_submap(newest))
     start_next(atlas, slam.mapper)
     closer.submap_started(atlas, 0, np.zeros((6, 6)))
-    link = closer._odometry.links[-1]
+    link = closer._graph.odometry.links[-1]
     assert (link.first, link.second) == (newest, newest + 1)
     assert np.abs(link.T_first_second - expected).max() < 1e-6
     assert closer.enterable(atlas)[:1] == [0] and closer.origin(atlas) == 0

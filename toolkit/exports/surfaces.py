@@ -61,7 +61,7 @@ def export_gltf(
 def export_scene_splats(
     path: Path, selection: SelectedGaussians, comments: Sequence[str], floor: Sequence[str] = ()
 ) -> None:
-    """Write the Gaussians as glTF or USD, placed like the mesh of `export_gltf`, with class names.
+    """Write the Gaussians as glTF or USD, placed like the mesh of `export_gltf`, with class tree.
 
     Raises:
         ToolkitError: a package is missing, or the file cannot be written.
@@ -70,7 +70,7 @@ def export_scene_splats(
         T_scene_map=_T_scene_map(selection, floor),
         metric=selection.run.metric,
         comments=tuple(comments),
-        classes=selection.classes,
+        taxonomy=selection.class_tree,
     )
     export_splat_scene(path, selection.gaussians, selection.columns, scene)
 

@@ -2,8 +2,9 @@
 
 Source: the specification of the extension, ratified by the Khronos Group. Splats are a primitive of
 points with linear scales, opacities in [0, 1], quaternions xyzw, and harmonics as in files of 3DGS.
-Labels and other columns are attributes with an underscore, such as `_LABEL_L0`. The file is written
-directly: trimesh, which writes our meshes, has no points with attributes of their own.
+Labels and other columns are attributes with an underscore, such as `_LABEL_L0`; their class tree is
+in the extras of the asset. The file is written directly: trimesh, which writes our meshes, has no
+points with attributes of their own.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from toolkit.io.gltf_document import (
 from toolkit.io.splat_columns import OWN_COLUMNS, Columns, logits, opacities_of
 from toolkit.io.splat_placement import (
     HALF_TURN,
+    SplatNotes,
     SplatScene,
     concatenated,
     constant_colours,
@@ -62,7 +64,7 @@ def write_gltf_splats(
     Args:
         columns: the splats in the frame of the map; see `splat_columns`.
         extra: additional columns [N] by name; integers within 16 bits, other types as float32.
-        scene: placement, class names and comments.
+        scene: placement, class tree and comments.
 
     Raises:
         RunFolderError: the file cannot be written, or a column has larger integers.
@@ -75,7 +77,11 @@ def write_gltf_splats(
     T = scene.T_scene_file
     matrix = {} if np.array_equal(T, np.eye(4)) else {"matrix": T.T.ravel().tolist()}
     extras = {"T_gltf_map": scene.T_scene_map.tolist(), "metric": scene.metric}
-    notes = {"comments": list(scene.comments), "classes": _text_keys(scene.classes)}
+    notes = {
+        "comments": list(scene.comments),
+        "classes": scene.classes,
+        "taxonomy": scene.taxonomy,
+    }
     description = {
         "asset": {
             "version": "2.0",
@@ -88,10 +94,6 @@ def write_gltf_splats(
         "nodes": [{"name": "map", "mesh": 0, **matrix, "extras": extras}],
     }
     write_document(path, {**description, **tree}, binary)
-
-
-def _text_keys(names: Mapping[int, str]) -> dict[str, str]:
-    return {str(key): name for key, name in names.items()}
 
 
 def _attributes(columns: Columns) -> dict[str, NDArray]:
@@ -206,11 +208,16 @@ def read_gltf_splats(path: Path) -> Columns:
     return concatenated(parts)
 
 
-def read_gltf_comments(path: Path) -> list[str]:
-    """Return the comments of a file of `write_gltf_splats`; none for other files."""
+def read_gltf_notes(path: Path) -> SplatNotes:
+    """Return the notes of a file of `write_gltf_splats`; none for other files."""
     extras = read_document(path).tree["asset"].get("extras")
-    comments = extras.get("comments", []) if isinstance(extras, dict) else []
-    return [str(line) for line in comments] if isinstance(comments, list) else []
+    if not isinstance(extras, dict):
+        return SplatNotes()
+    comments, taxonomy = extras.get("comments"), extras.get("taxonomy")
+    return SplatNotes(
+        tuple(map(str, comments)) if isinstance(comments, list) else (),
+        taxonomy if isinstance(taxonomy, dict) else None,
+    )
 
 
 def _check_required(document: GltfDocument) -> None:

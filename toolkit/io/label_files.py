@@ -1,7 +1,8 @@
-"""Labels and objects beside splat files that have no room for them: `map.sog.labels.npz`.
+"""Labels, objects and class trees beside splat files without room: `map.sog.labels.npz`.
 
 The file is an archive of NumPy arrays. Row i belongs to splat i of the splat file. A map has labels
-(the first three), objects (`instances`), or both:
+(the first three), objects (`instances`), or both. A `.ply` contains these columns, and has only its
+class tree beside it:
 
 - `label` [N] int32, class ids, 0 for void; `class_names` [C] are the names by id
 - `levels` [N, L] int32, nodes of the class tree at each level; -1 is void or uncertain
@@ -47,7 +48,8 @@ class LabelFile:
     """Labels and objects read from beside a splat file.
 
     Attributes:
-        columns: of all splats [N], as `SplatLabels.columns` and `INSTANCE` name them.
+        columns: of all splats [N], as `SplatLabels.columns` and `INSTANCE` name them; none beside
+            a file that contains them.
         taxonomy: JSON values of the class tree; None if the file has none.
     """
 
@@ -66,7 +68,7 @@ def write_label_file(
     taxonomy: Mapping[str, Any] | None,
     order: Order,
 ) -> None:
-    """Write the labels and objects of a splat file, or remove those of an earlier one.
+    """Write labels, objects and class tree of a splat file, or remove those of an earlier one.
 
     Args:
         splat_file: the splat file, which exists already.
@@ -81,7 +83,7 @@ def write_label_file(
     if order is not None:
         columns = {name: column[order] for name, column in columns.items()}
     labels, instances = SplatLabels.from_columns(columns), instances_in(columns)
-    if labels is None and instances is None:
+    if labels is None and instances is None and taxonomy is None:
         path.unlink(missing_ok=True)
         return
     arrays: dict[str, Any] = {"splats_sha256": np.array(_digest(splat_file))}
@@ -116,7 +118,7 @@ def read_label_file(splat_file: Path, count: int) -> LabelFile | None:
     except _DAMAGED as error:
         _log.warning("%s cannot be read and is ignored (%s); export the map again.", path, error)
         return None
-    rows = len(next(iter(columns.values())))
+    rows = len(next(iter(columns.values()))) if columns else count
     if rows != count:
         reason = f"it has labels of {rows} splats, but {splat_file.name} contains {count}"
     elif digest != _digest(splat_file):
@@ -128,12 +130,14 @@ def read_label_file(splat_file: Path, count: int) -> LabelFile | None:
 
 
 def _columns(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """The columns in a file; at least one.
+    """The columns in a file; none if it contains only a class tree.
 
     Raises:
-        KeyError: there are neither labels nor objects, or a part of the labels is missing.
+        KeyError: there is no class tree either, or a part of the labels is missing.
         ValueError: shapes do not match.
     """
+    if "taxonomy" in arrays and not any(name in arrays for name in (*_LABELS, "instances")):
+        return {}
     instances = arrays["instances"].astype(np.int32) if "instances" in arrays else None
     if instances is not None and not any(name in arrays for name in _LABELS):
         if instances.ndim != 1:

@@ -30,6 +30,19 @@ _ORIGIN = "origin_m "
 
 
 @dataclass(frozen=True)
+class SplatNotes:
+    """Notes that are read from a file of splats.
+
+    Attributes:
+        comments: one line each, such as `origin_m`.
+        taxonomy: JSON values of the class tree of the labels, or None.
+    """
+
+    comments: tuple[str, ...] = ()
+    taxonomy: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
 class SplatScene:
     """What a scene file contains besides splats.
 
@@ -38,20 +51,28 @@ class SplatScene:
             y up, z backward.
         metric: whether lengths are metres.
         comments: one line each, such as `origin_m`.
-        classes: names of the labels by class id.
+        taxonomy: JSON values of the class tree of the labels (`Taxonomy.to_json`), or None.
     """
 
     T_scene_map: NDArray[np.float64] = field(default_factory=HALF_TURN.copy)
     metric: bool = True
     comments: tuple[str, ...] = ()
-    classes: Mapping[int, str] = field(default_factory=dict)
+    taxonomy: Mapping[str, Any] | None = None
 
     @classmethod
-    def of_comments(cls, comments: Sequence[str], classes: Mapping[int, str]) -> SplatScene:
+    def of_comments(
+        cls, comments: Sequence[str], taxonomy: Mapping[str, Any] | None = None
+    ) -> SplatScene:
         """A scene with the axes of the map, placed and scaled as comments of the map say."""
         T_scene_map = HALF_TURN @ se3.from_rotation_translation(np.eye(3), origin_in(comments))
         metric = LengthNames.of_comments(comments).metric
-        return cls(T_scene_map, metric, tuple(comments), classes)
+        return cls(T_scene_map, metric, tuple(comments), taxonomy)
+
+    @property
+    def classes(self) -> dict[str, str]:
+        """Names of the labels by class id, which is text as in JSON."""
+        names = () if self.taxonomy is None else self.taxonomy["classes"]
+        return {str(class_id): name for class_id, name in enumerate(names, start=1)}
 
     @property
     def T_scene_file(self) -> NDArray[np.float64]:

@@ -8,10 +8,10 @@ from pathlib import Path
 from numpy.typing import NDArray
 
 from toolkit.io.gltf import GLTF_SUFFIXES
-from toolkit.io.gltf_splats import read_gltf_comments, read_gltf_splats, write_gltf_splats
+from toolkit.io.gltf_splats import read_gltf_notes, read_gltf_splats, write_gltf_splats
 from toolkit.io.splat_columns import Columns
-from toolkit.io.splat_placement import SplatScene
-from toolkit.io.usd_splats import USD_SUFFIXES, read_usd_comments, read_usd_splats, write_usd_splats
+from toolkit.io.splat_placement import SplatNotes, SplatScene
+from toolkit.io.usd_splats import USD_SUFFIXES, read_usd_notes, read_usd_splats, write_usd_splats
 
 SCENE_SUFFIXES = (*GLTF_SUFFIXES, *USD_SUFFIXES)
 
@@ -39,9 +39,13 @@ def read_splat_scene(path: Path) -> Columns:
     return read_usd_splats(path) if _is_usd(path) else read_gltf_splats(path)
 
 
-def read_scene_comments(path: Path) -> list[str]:
-    """Return the comments of a file of `write_splat_scene`; none for files of other programs."""
-    return read_usd_comments(path) if _is_usd(path) else read_gltf_comments(path)
+def read_scene_notes(path: Path) -> SplatNotes:
+    """Return the notes of a file of `write_splat_scene`; none for files of other programs.
+
+    Raises:
+        FormatError: the file is damaged.
+    """
+    return read_usd_notes(path) if _is_usd(path) else read_gltf_notes(path)
 
 
 def _is_usd(path: Path) -> bool:

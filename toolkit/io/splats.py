@@ -35,11 +35,11 @@ from toolkit.io.splat_columns import (
     shapes_of,
 )
 from toolkit.io.splat_labels import SplatLabels
-from toolkit.io.splat_placement import SplatScene
+from toolkit.io.splat_placement import SplatNotes, SplatScene
 from toolkit.io.splat_plys import FILTER_COMMENT, read_ply, read_ply_comments, write_ply
 from toolkit.io.splat_scenes import (
     SCENE_SUFFIXES,
-    read_scene_comments,
+    read_scene_notes,
     read_splat_scene,
     write_splat_scene,
 )
@@ -66,9 +66,9 @@ _IS_FILTERED: dict[str, Callable[[Path], bool]] = {
     ".json": is_filtered_sog,
 }
 # Formats with comments, which say the same.
-_COMMENTS: dict[str, Callable[[Path], list[str]]] = {
-    _PLY: read_ply_comments,
-    **dict.fromkeys(SCENE_SUFFIXES, read_scene_comments),
+_NOTES: dict[str, Callable[[Path], SplatNotes]] = {
+    _PLY: lambda path: SplatNotes(tuple(read_ply_comments(path))),
+    **dict.fromkeys(SCENE_SUFFIXES, read_scene_notes),
 }
 _FILTER_COMMENTS = (FILTER_COMMENT, MIP_COMMENT)
 _WRITER_COMMENT = "Created by Open3D"
@@ -106,7 +106,7 @@ class Splats:
             everywhere.
         pixel_filter: whether the file says that its ellipsoids were fitted with the filter of
             pixels of semsplat and Mip-Splatting, and not with that of 3DGS.
-        taxonomy: JSON values of the class tree, from a file of labels beside the splats.
+        taxonomy: JSON values of the class tree, from the file or from that of labels beside it.
         comments: lines of the file, such as `origin_m`, without those of the filter and Open3D.
     """
 
@@ -170,7 +170,8 @@ def export_splats(
     """Write splats for viewers, in the format of the suffix.
 
     Formats other than `.ply`, glTF and USD quantise, and store neither comments nor additional
-    columns. Labels and objects in `extra` are written to a file beside them (`label_files`).
+    columns. Labels and objects in `extra`, and the class tree of a `.ply`, are written to a file
+    beside them (`label_files`).
 
     Args:
         path: the file, ending in one of `WRITTEN_SUFFIXES` or in `.compressed.ply`.
@@ -178,8 +179,7 @@ def export_splats(
         extra: additional columns [N] by name.
         comments: lines for the header of a `.ply` and the notes of a scene.
         spz_version: version of a `.spz` file; more viewers read the versions 2 and 3 than 4.
-        taxonomy: JSON values of the class tree, for the file of labels, and for the class names
-            of a scene.
+        taxonomy: JSON values of the class tree of the labels.
 
     Raises:
         ValueError: the suffix is not supported.
@@ -190,10 +190,10 @@ def export_splats(
     if suffix == _PLY:
         mip = [MIP_COMMENT] if _is_filtered(splats) else []
         write_splat_ply(path, splats, extra, [*comments, *mip])
+        write_label_file(path, {}, taxonomy, None)
         return
     if suffix in SCENE_SUFFIXES:
-        classes = {} if taxonomy is None else dict(enumerate(taxonomy["classes"], start=1))
-        export_splat_scene(path, splats, extra, SplatScene.of_comments(comments, classes))
+        export_splat_scene(path, splats, extra, SplatScene.of_comments(comments, taxonomy))
         return
     if suffix not in _WRITERS:
         raise ValueError(f"{path} must end in one of {', '.join(WRITTEN_SUFFIXES)}")
@@ -262,8 +262,10 @@ def read_splats(path: PathLike) -> Splats:
         columns |= {name: column[:, None] for name, column in beside.columns.items()}
     columns = checked(path, columns)
     suffix = path.suffix.lower()
-    comments = _COMMENTS.get(suffix, lambda _: [])(path)
-    is_filtered = _IS_FILTERED.get(suffix, lambda _: not set(comments).isdisjoint(_FILTER_COMMENTS))
+    notes = _NOTES.get(suffix, lambda _: SplatNotes())(path)
+    is_filtered = _IS_FILTERED.get(
+        suffix, lambda _: not set(notes.comments).isdisjoint(_FILTER_COMMENTS)
+    )
     return Splats(
         means=columns["positions"].astype(np.float32),
         log_radii=np.log(columns["scale"]).mean(axis=1).astype(np.float32),
@@ -276,8 +278,8 @@ def read_splats(path: PathLike) -> Splats:
         },
         ellipsoids=shapes_of(path, columns),
         pixel_filter=is_filtered(path),
-        taxonomy=None if beside is None else beside.taxonomy,
-        comments=tuple(x for x in comments if x not in (*_FILTER_COMMENTS, _WRITER_COMMENT)),
+        taxonomy=notes.taxonomy if beside is None else beside.taxonomy,
+        comments=tuple(x for x in notes.comments if x not in (*_FILTER_COMMENTS, _WRITER_COMMENT)),
     )
 
 

@@ -7,6 +7,7 @@ columns are primvars.
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import tempfile
@@ -26,6 +27,7 @@ from toolkit.io.atomic import replacing
 from toolkit.io.splat_columns import OWN_COLUMNS, Columns, logits, opacities_of
 from toolkit.io.splat_placement import (
     HALF_TURN,
+    SplatNotes,
     SplatScene,
     concatenated,
     constant_colours,
@@ -60,7 +62,7 @@ def write_usd_splats(
     Args:
         columns: the splats in the frame of the map; see `splat_columns`.
         extra: additional columns [N] by name; integers as int, other types as float.
-        scene: placement, class names and comments.
+        scene: placement, class tree and comments.
 
     Raises:
         DependencyError: usd-core is missing or too old.
@@ -74,8 +76,10 @@ def write_usd_splats(
     own: dict[str, Any] = {"T_usd_map": _matrix(pxr, scene.T_scene_map)}
     if scene.comments:
         own["comments"] = pxr.Vt.StringArray(list(scene.comments))
-    if scene.classes:
-        own["classes"] = {str(key): name for key, name in scene.classes.items()}
+    if scene.taxonomy is not None:
+        own["classes"] = scene.classes
+        # Dictionaries of USD are sorted, but nodes are numbered by the order of the tree.
+        own["taxonomy"] = json.dumps(scene.taxonomy, ensure_ascii=False)
     stage.GetRootLayer().customLayerData = {_OWN: own}
     root = pxr.UsdGeom.Xform.Define(stage, "/Map")
     stage.SetDefaultPrim(root.GetPrim())
@@ -180,11 +184,21 @@ def read_usd_splats(path: Path) -> Columns:
     return concatenated(parts)
 
 
-def read_usd_comments(path: Path) -> list[str]:
-    """Return the comments of a file of `write_usd_splats`; none for other files."""
+def read_usd_notes(path: Path) -> SplatNotes:
+    """Return the notes of a file of `write_usd_splats`; none for other files.
+
+    Raises:
+        FormatError: the class tree is damaged.
+    """
     pxr = _pxr(path)
     with _quiet(pxr):
-        return list(_own_data(_stage(pxr, path)).get("comments", ()))
+        own = _own_data(_stage(pxr, path))
+        comments, text = tuple(own.get("comments", ())), own.get("taxonomy", "null")
+    try:
+        taxonomy = json.loads(text)
+    except (ValueError, TypeError, RecursionError) as error:
+        raise FormatError(f"{path}: the class tree is damaged; export the map again") from error
+    return SplatNotes(comments, taxonomy if isinstance(taxonomy, dict) else None)
 
 
 def _stage(pxr: Any, path: Path) -> Any:

@@ -36,7 +36,8 @@ from toolkit.runs.locations import absolute, with_absolute_paths
 from toolkit.runs.lock import locked
 from toolkit.runs.modes import mode_of
 from toolkit.runs.observers import Observers, Progress, ProgressObserver, no_progress
-from toolkit.runs.results import RunRecord, write_results
+from toolkit.runs.outcome import RunRecord
+from toolkit.runs.results import write_results
 from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.session import Session
 from toolkit.runs.settings import RunSettings, dump_settings

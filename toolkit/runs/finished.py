@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.frame_states import FrameState, PartSummary
 from toolkit.evaluation.run_metrics import TrackedFrame
@@ -51,6 +52,7 @@ class FinishedRun:
         camera: intrinsics of the frames after resizing.
         dataset_from_run: path of the dataset relative to the run folder, or None.
         samples: small images of the dataset (`recording_samples`).
+        estimates: what the run has estimated of the recording; None for runs that did not store it.
         states: states of all frames of the sequence, in order.
         parts: parts of the map, the main part first; the relative poses of parts are unknown.
         metric: whether lengths are in metres; otherwise their unit is arbitrary.
@@ -71,6 +73,7 @@ class FinishedRun:
     camera: Camera
     dataset_from_run: str | None
     samples: list[dict[str, Any]]
+    estimates: RecordingEstimates | None
     states: list[FrameState]
     parts: list[PartSummary]
     metric: bool
@@ -161,7 +164,7 @@ class FinishedRun:
         path = path or self.dataset_path
         if path is None:
             raise DatasetError(f"{self.folder.config} has no dataset.path; add it to the file")
-        dataset = open_recording(self.settings, path, image_size)
+        dataset = open_recording(self.settings, path, image_size, self.estimates)
         if not is_same_recording(dataset, self.samples):
             raise DatasetError(
                 f"{path} is not the recording of {self.folder.path}: its images differ from those "
@@ -222,6 +225,7 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             camera=Camera(**content["camera"]),
             dataset_from_run=content.get("dataset_from_run"),
             samples=content.get("samples", []),
+            estimates=_estimates(content.get("recording")),
             states=[read_state(row) for row in content["states"]],
             parts=[read_part(row) for row in content["parts"]],
             metric=bool(content["metric"]),
@@ -240,6 +244,10 @@ def _read_frames(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RunFolderError(f"{path} does not contain a dictionary; run again")
     return content
+
+
+def _estimates(values: dict[str, Any] | None) -> RecordingEstimates | None:
+    return None if values is None else RecordingEstimates.from_json(values)
 
 
 def _side(name: str) -> ImageSide:

@@ -118,7 +118,7 @@ def label(run: FinishedRun) -> LabelledRun:
 def taxonomy_of_file(path: Path, splats: Splats) -> Taxonomy | None:
     """Return the class tree of the labels of a splat file.
 
-    It is stored with the labels, or in the folder of the file, as in a run folder.
+    It is stored in the file or with its labels, or in the folder of the file, as in a run folder.
 
     Args:
         path: the splat file.
@@ -134,7 +134,8 @@ def taxonomy_of_file(path: Path, splats: Splats) -> Taxonomy | None:
     if labels is None or (splats.taxonomy is None and not file.is_file()):
         return None
     if splats.taxonomy is not None:
-        taxonomy = Taxonomy.from_json(splats.taxonomy, str(label_file_of(path)))
+        beside = label_file_of(path)
+        taxonomy = Taxonomy.from_json(splats.taxonomy, str(beside if beside.is_file() else path))
     else:
         taxonomy = Taxonomy.load(file)
     try:

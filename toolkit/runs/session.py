@@ -17,7 +17,7 @@ from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.memory_limit import MemoryLimit
 from toolkit.runs.observers import ObservedRun, Observers, Progress
-from toolkit.runs.results import held_out
+from toolkit.runs.outcome import held_out
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam

@@ -1,21 +1,18 @@
-"""Poses of the tracked frames relative to keyframes, so that they move with the map."""
+"""The path of the camera: frames with and without a pose, its motion, and where it may be."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import Any
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import IDENTITY, NEUTRAL, Balance, Exposure
 from toolkit.frame import Frame, FrameStamp
 from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.loops.closing.uncertainty import PathPose
 from toolkit.slam.frame_covariance import by_shutter, by_view
+from toolkit.slam.frame_poses import FramePoses, TrackedFrame
 from toolkit.submaps.atlas import Atlas
 from toolkit.tracking.health import has_depth
 from toolkit.tracking.reach import Reach, mean_pace
@@ -38,32 +35,7 @@ _CUT_S = 0.15
 _EVERY = 16
 
 
-@dataclass(frozen=True)
-class _TrackedFrame:
-    """A tracked frame and its reference keyframe.
-
-    Attributes:
-        keyframe: frame index of the reference keyframe, which belongs to `submap`.
-        doubt: why the pose may be wrong; empty if it is reliable.
-        ambiguous: whether the frame was followed, but shows several places or motions.
-        steps: number of optimisation steps on the frame, if it became a keyframe.
-        fingerprint: of its images as they were recorded.
-        repeats: whether they are those of the frame before.
-    """
-
-    index: int
-    timestamp_s: float
-    submap: int
-    keyframe: int
-    exposure: Exposure
-    doubt: str = ""
-    ambiguous: bool = False
-    steps: int = 0
-    fingerprint: int = 0
-    repeats: bool = False
-
-
-class CameraPath:
+class CameraPath(FramePoses):
     """The tracked and the lost frames of a run, in order.
 
     Attributes:
@@ -74,13 +46,11 @@ class CameraPath:
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self.lost_frames: dict[int, str] = {}
         self.unreliable_in_a_row = 0
         self.dropped_frames: list[int] = []
         self._cut, self._pace = False, 0.0
-        self._frames: list[_TrackedFrame] = []
-        self._T_keyframe_camera: list[Array] = []
-        self._covariances: list[Array] = []
 
     def add(
         self,
@@ -111,21 +81,18 @@ class CameraPath:
                 covariance = covariance + by_shutter(frame, velocity)
             if not (doubt or self._frames[-1].doubt):
                 self._pace = mean_pace(self._pace, velocity)
-        self._covariances.append(covariance)
-        self._frames.append(
-            _TrackedFrame(
-                frame.index,
-                frame.timestamp_s,
-                atlas.active,
-                last.index,
-                exposure,
-                doubt,
-                bool(doubt) and tracking is not None and tracking.ambiguous,
-                steps,
-                fingerprint,
-            )
+        tracked = TrackedFrame(
+            frame.index,
+            frame.timestamp_s,
+            atlas.active,
+            last.index,
+            exposure,
+            doubt,
+            bool(doubt) and tracking is not None and tracking.ambiguous,
+            steps,
+            fingerprint,
         )
-        self._T_keyframe_camera.append(se3.inverse(last.T_map_camera) @ T_submap_camera)
+        self._append(tracked, se3.inverse(last.T_map_camera) @ T_submap_camera, covariance)
 
     def _last_motion(self, frame: Frame, atlas: Atlas, T_submap_camera: Array) -> Array:
         """Mean velocity [6] (m/s, rad/s) from the newest frame to the next one."""
@@ -208,9 +175,8 @@ class CameraPath:
     def _append_last(self, frame: FrameStamp, doubt: str, repeats: bool = False) -> None:
         """Add a frame at the pose of the newest one."""
         last = replace(self._frames[-1], index=frame.index, timestamp_s=frame.timestamp_s)
-        self._frames.append(replace(last, doubt=doubt, steps=0, repeats=repeats))
-        self._T_keyframe_camera.append(self._T_keyframe_camera[-1])
-        self._covariances.append(self._covariances[-1])
+        last = replace(last, doubt=doubt, steps=0, repeats=repeats)
+        self._append(last, self._T_keyframe_camera[-1], self._covariances[-1])
 
     @property
     def _is_lost(self) -> bool:
@@ -218,11 +184,6 @@ class CameraPath:
         if not self._frames:
             return True
         return max(self.lost_frames, default=-1) > self._frames[-1].index
-
-    @property
-    def indices(self) -> list[int]:
-        """Indices of the frames."""
-        return [f.index for f in self._frames]
 
     @property
     def last_reliable_s(self) -> float | None:
@@ -233,36 +194,6 @@ class CameraPath:
     def doubtful_frames(self) -> dict[int, str]:
         """Reason by index of the frames whose pose may be wrong, in order."""
         return {f.index: f.doubt for f in self._frames if f.doubt}
-
-    @property
-    def steps(self) -> dict[int, int]:
-        """Number of optimisation steps by index of the keyframes."""
-        return {f.index: f.steps for f in self._frames if f.steps}
-
-    @property
-    def submaps(self) -> list[int]:
-        """Number of the submap that each frame was tracked in."""
-        return [f.submap for f in self._frames]
-
-    @property
-    def keyframes(self) -> list[int]:
-        """Frame index of the reference keyframe of each frame."""
-        return [f.keyframe for f in self._frames]
-
-    @property
-    def T_keyframe_camera(self) -> Array:
-        """Poses [M, 4, 4] of the frames relative to their reference keyframes."""
-        return np.array(self._T_keyframe_camera).reshape(-1, 4, 4)
-
-    def last_pose(self, atlas: Atlas) -> tuple[int, Array]:
-        """Submap and pose [4, 4] of the newest frame; without frames, the active anchor."""
-        return self._pose(atlas, -1) if self._frames else (atlas.active, np.eye(4))
-
-    def _pose(self, atlas: Atlas, position: int) -> tuple[int, Array]:
-        """Submap and pose [4, 4] of a frame by its position."""
-        frame = self._frames[position]
-        T_submap_keyframe = atlas.keyframe_poses(frame.submap)[frame.keyframe]
-        return frame.submap, T_submap_keyframe @ self._T_keyframe_camera[position]
 
     def velocity(
         self, atlas: Atlas, frame: FrameStamp, T_submap_camera: Array | None = None
@@ -329,57 +260,10 @@ class CameraPath:
             return self._cut
         return frame.timestamp_s - self._frames[-1].timestamp_s <= _CUT_S
 
-    def poses_in_submaps(self, atlas: Atlas) -> list[Array]:
-        """T_submap_camera [4, 4] of each frame, in its own submap."""
-        known = {f.submap: atlas.keyframe_poses(f.submap) for f in self._frames}
-        return [
-            known[f.submap][f.keyframe] @ T
-            for f, T in zip(self._frames, self._T_keyframe_camera, strict=True)
-        ]
-
-    def measured_poses(self, atlas: Atlas) -> list[PathPose]:
-        """Pose of each frame in its own submap, and how well tracking determined it."""
-        return [
-            PathPose(f.submap, T, f.keyframe == f.index, covariance)
-            for f, T, covariance in zip(
-                self._frames, self.poses_in_submaps(atlas), self._covariances, strict=True
-            )
-        ]
-
-    def exposures(self, atlas: Atlas, of_submaps: Mapping[int, Exposure]) -> list[Exposure]:
-        """Exposure of each frame against the map.
-
-        The white balance of frames between two keyframes is interpolated.
-
-        Args:
-            of_submaps: exposures of submaps against the fused map; the identity where missing.
-        """
-        known = {f.submap: atlas.keyframe_balances(f.submap) for f in self._frames}
-        return [
-            of_submaps.get(f.submap, IDENTITY).after(
-                f.exposure.with_balance(_interpolated(known[f.submap], f.index))
-            )
-            for f in self._frames
-        ]
-
-    def trajectory(self, atlas: Atlas) -> Trajectory:
-        """Poses of the frames in the world frame."""
-        anchors = [atlas.T_world_submap(number) for number in range(len(atlas))]
-        poses = [
-            se3.orthonormalise(anchors[f.submap] @ T)
-            for f, T in zip(self._frames, self.poses_in_submaps(atlas), strict=True)
-        ]
-        times = np.array([f.timestamp_s for f in self._frames])
-        return Trajectory(times, np.array(poses).reshape(-1, 4, 4))
-
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
-        arrays = {
-            "T_keyframe_camera": self.T_keyframe_camera,
-            "covariances": np.array(self._covariances).reshape(-1, 6, 6),
-        }
-        return arrays, {
-            "tracked": [asdict(f) for f in self._frames],
+        arrays, values = super().state()
+        return arrays, values | {
             "lost_frames": list(self.lost_frames.items()),
             "unreliable_in_a_row": self.unreliable_in_a_row,
             "dropped_frames": self.dropped_frames,
@@ -389,12 +273,7 @@ class CameraPath:
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
-        self._frames = [
-            _TrackedFrame(**{**f, "exposure": Exposure.from_values(f["exposure"])})
-            for f in values["tracked"]
-        ]
-        self._T_keyframe_camera = [np.array(T) for T in arrays["T_keyframe_camera"]]
-        self._covariances = list(np.array(arrays["covariances"]))
+        super().restore(arrays, values)
         self.lost_frames = {int(index): reason for index, reason in values["lost_frames"]}
         self.unreliable_in_a_row = int(values["unreliable_in_a_row"])
         self.dropped_frames = [int(i) for i in values["dropped_frames"]]
@@ -405,17 +284,3 @@ def fingerprint(frame: Frame) -> int:
     """A number that differs between the images of any two exposures."""
     rows = (image[::_EVERY].tobytes() for image in (frame.rgb, frame.depth_m))
     return crc32(b"".join(rows))
-
-
-def _interpolated(balances: Mapping[int, Balance], index: int) -> Balance:
-    """White balance of a frame, between those of keyframes by ascending frame index."""
-    if index in balances:
-        return balances[index]
-    if all(balance == NEUTRAL for balance in balances.values()):
-        return NEUTRAL
-    indices = list(balances)
-    red, green, blue = (
-        float(np.exp(np.interp(index, indices, channel)))
-        for channel in np.log(list(balances.values())).T
-    )
-    return (red, green, blue)

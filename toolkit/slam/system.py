@@ -8,11 +8,9 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
-from toolkit.geometry import se3
 from toolkit.geometry.image_sides import ImageSide
 from toolkit.growing_scene.growing import GrowingScene
 from toolkit.instances.finishing import finish_instances
@@ -20,12 +18,11 @@ from toolkit.instances.result import InstanceMap
 from toolkit.instances.saved import SavedObjects
 from toolkit.instances.tracking import InstanceTracker
 from toolkit.io.arrays import arrays_below
-from toolkit.keyframe import Keyframe
 from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.mapping.deferred import DeferredSteps
 from toolkit.mapping.intermediate_frames import IntermediateFrames
 from toolkit.mapping.keyframes import KeyframeChoice
-from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.mapping.mapper import Mapper
 from toolkit.refinement.anchors import align_anchors
 from toolkit.refinement.fusion import FusedMap, fuse
 from toolkit.refinement.parts import separate
@@ -40,6 +37,7 @@ from toolkit.slam.frame_preparation import FramePreparation, FrameSources
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.intermediate_mapping import IntermediateMapping
 from toolkit.slam.length_unit import METRE, LengthUnit
+from toolkit.slam.new_keyframes import NewKeyframes
 from toolkit.slam.recovery import Recovery
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.submap_changes import SubmapChanges
@@ -47,10 +45,9 @@ from toolkit.stages import Stage
 from toolkit.submaps.atlas import Atlas
 from toolkit.submaps.submap import Submap
 from toolkit.threads import single_threaded_blas
-from toolkit.tracking.evidence import shows_much_unmapped
-from toolkit.tracking.health import has_depth, is_blank
+from toolkit.tracking.health import is_blank
 from toolkit.tracking.moving import MovingTracker
-from toolkit.tracking.result import TrackingResult, at_pose_of_last, exposure_of, not_tracked
+from toolkit.tracking.result import at_pose_of_last, exposure_of, not_tracked
 from toolkit.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
@@ -97,7 +94,7 @@ class Slam:
         self.atlas = Atlas(mapper.first_submap()) if atlas is None else atlas
         self._recorder = recorder or NullRecorder()
         self._closer = front_end.closer
-        self._placement, self._unit = front_end.placement, front_end.unit
+        self._unit = front_end.unit
         self._path = CameraPath()
         sources = sources or FrameSources()
         self._carrier = CarrierWatch() if sources.watches_carrier else None
@@ -117,6 +114,9 @@ class Slam:
         self._recovery = Recovery(front_end, mapper, self.atlas, self._path, label, self._recorder)
         self._locator = FrameLocator(front_end, self.atlas, self._recovery, self._recorder)
         self._changes = SubmapChanges(front_end, mapper, self.atlas, self._recorder)
+        self._keyframes = NewKeyframes(
+            front_end, mapper, self.atlas, self._changes, self._between, self._recorder
+        )
         self._fused: list[FusedMap | None] = []
         self._instances = instances
         self._instance_map: InstanceMap | None = None
@@ -221,11 +221,11 @@ class Slam:
         may_map &= not located.doubtful and not is_blank(frame)
         if may_map:
             frame = self._preparation.for_mapping(frame, T_map_camera)
-        if may_map and self._wants(frame, T_map_camera, tracking):
+        if may_map and self._keyframes.wants(frame, T_map_camera, tracking):
             again = self._changes.seen_again(frame, T_map_camera, tracking)
             if again is None:
                 frame = self._preparation.as_keyframe(observed, frame, T_map_camera)
-                mapping = self._add_keyframe(frame, T_map_camera, tracking)
+                mapping = self._keyframes.add(frame, T_map_camera, tracking)
                 self._changes.start_if_due(tracking)
                 T_map_camera = self.atlas.keyframes[-1].T_map_camera
             elif again.found is not None:
@@ -377,49 +377,6 @@ class Slam:
         for number in range(len(self.atlas)):
             if number not in self.atlas.unreadable:
                 self.atlas.put(self.unit.submap_in_metres(self.atlas.submap(number)))
-
-    def _wants(
-        self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
-    ) -> bool:
-        """Whether the active submap should have a frame as a keyframe."""
-        keyframes, visited = self.atlas.keyframes, self.atlas.visited
-        unmapped = shows_much_unmapped(tracking) and has_depth(frame)
-        unmapped = unmapped and bool(keyframes) and keyframes[-1].index < frame.index
-        if not (unmapped or self.mapper.wants(keyframes, frame, T_map_camera, visited)):
-            return False
-        return not self._changes.shows_surface(keyframes, frame, T_map_camera)
-
-    def _add_keyframe(
-        self, frame: Frame, T_map_camera: NDArray[np.float64], tracking: TrackingResult | None
-    ) -> MappingResult:
-        """Create a keyframe, refine its pose, and extend the map with it."""
-        exposure = exposure_of(tracking)
-        if self.atlas.keyframes:
-            # Until the mapper estimates that of the new keyframe.
-            exposure = exposure.with_balance(self.atlas.keyframes[-1].exposure.balance)
-        keyframe = Keyframe.from_frame(frame, T_map_camera, exposure)
-        if self._preparation.correction is not None:
-            keyframe.prior_m = keyframe.depth_m
-        self._refine_pose(keyframe, tracking)
-        if self.atlas.keyframes:
-            self._between.select(keyframe)
-        with self._recorder.timed(Stage.MAPPING):
-            mapping = self.mapper.add_keyframe(self.atlas.current, keyframe)
-        if self.mapper.deferred is None:
-            self._between.map_all()
-        self._closer.keyframe_added(self.atlas)
-        return mapping
-
-    def _refine_pose(self, keyframe: Keyframe, tracking: TrackingResult | None) -> None:
-        """Refine the pose of a new keyframe; the tracker continues from the refined pose."""
-        if self._placement is None or not self.atlas.keyframes:
-            return
-        T_tracked = keyframe.T_map_camera
-        with self._recorder.timed(Stage.PLACING):
-            keyframe.T_map_camera = self._placement.place(
-                self.atlas.keyframes, keyframe, None if tracking is None else tracking.T_by_features
-            )
-        self.tracker.correct(keyframe.T_map_camera @ se3.inverse(T_tracked))
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues to identical results."""

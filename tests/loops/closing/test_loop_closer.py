@@ -144,7 +144,7 @@ def closed(
         closer.keyframe_added(atlas)
         if atlas.judge().starts_submap:
             start_next(atlas, mapper)
-            closer._odometry.started(atlas, atlas.active - 1, np.eye(6) * 1e6)
+            closer._graph.odometry.started(atlas, atlas.active - 1, np.eye(6) * 1e6)
             truth[atlas.active] = T_world_camera
             T_map_world = se3.inverse(atlas.T_world_submap(atlas.active))
     return atlas, closer, registrar
@@ -262,6 +262,7 @@ class TestBetween:
             pose_graph=untested,
             optimiser=PoseGraphOptimiser(untested),
         )
+        closer._graph._parts = closer._parts
         closer._between = SubmapLoops(closer._parts, options, closer._record)
         assert closer.close_between(atlas, atlas.active) and closer.loops
         records = read_loop_log(tmp_path / "loops.jsonl")
@@ -473,7 +474,7 @@ class TestSettle:
         atlas.store_active()
         registrar.changes["fails"] = True
         around = (0, atlas.active)
-        closer.loops = [loop for loop in closer.loops if (loop.first, loop.second) == around]
+        closer._graph.loops = [loop for loop in closer.loops if (loop.first, loop.second) == around]
         assert closer.loops and closer.register_overlaps(atlas)
         neighbours = {(n, n + 1) for n in range(len(atlas) - 1)} if joins else set()
         assert {(loop.first, loop.second) for loop in closer.loops} == {around} | neighbours
@@ -521,9 +522,9 @@ class TestLost:
         last, beside = atlas.active, np.eye(4)
         beside[0, 3] = 1.0
         before = atlas.T_world_submap(last)
-        closer._odometry.links.pop()
+        closer._graph.odometry.links.pop()
         reach = None if reach_m is None else Reach(before @ beside, reach_m, 0.5)
-        closer._odometry.started_lost(atlas, None, reach)
+        closer._graph.odometry.started_lost(atlas, None, reach)
         assert closer.parts(atlas)[-1] == (last,)
         assert closer.close_between(atlas, last) == closes
         assert (len(closer.parts(atlas)) == 1) == closes
@@ -550,8 +551,10 @@ class TestLost:
 
         atlas, closer, _ = closed(frames)
         last = atlas.active
-        closer._odometry.links.pop()
-        closer._odometry.started_lost(atlas, None, Reach(atlas.T_world_submap(last), 2.0, 0.5))
+        closer._graph.odometry.links.pop()
+        closer._graph.odometry.started_lost(
+            atlas, None, Reach(atlas.T_world_submap(last), 2.0, 0.5)
+        )
         edges = ImageEdges(
             len(shifts_m),
             list(map(moved, shifts_m)),
@@ -571,7 +574,7 @@ class TestState:
         arrays, values = closer.state()
         values = json.loads(json.dumps(values))
         other_atlas, other, _ = closed(frames)
-        other._odometry.links, other._pending = [], []
+        other._graph.odometry.links, other._pending = [], []
         other.restore(arrays, values)
         assert closer.close_between(atlas, atlas.active)
         assert other.close_between(other_atlas, other_atlas.active)

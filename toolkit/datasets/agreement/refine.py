@@ -26,6 +26,14 @@ def with_refined_intrinsics(recording: Recording, max_frames: int | None = None)
         if found is None or not found.noted.any():
             break
         refined = _applied(found, refined)
+    return with_intrinsics(recording, refined.camera, refined.distortion)
+
+
+def with_intrinsics(
+    recording: Recording, camera: Camera, distortion: tuple[float, ...] | None
+) -> Recording:
+    """Replace the stated intrinsics by refined ones; a note of the recording says so."""
+    refined = replace(recording, camera=camera, distortion=distortion)
     return replace(refined, notes=(*recording.notes, _note(recording, refined)))
 
 

@@ -7,7 +7,6 @@ they seeded. Between submaps, edges are estimated by registration, and only anch
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -20,26 +19,17 @@ from toolkit.geometry import se3
 from toolkit.io.arrays import arrays_below
 from toolkit.keyframe import Keyframe
 from toolkit.loops.candidates import LoopCandidate
+from toolkit.loops.closing.anchor_graph import AnchorGraph
 from toolkit.loops.closing.image_edges import ImageEdges, ImageLoops
 from toolkit.loops.closing.keyframe_loops import KeyframeLoops
-from toolkit.loops.closing.log_entries import correction_values, motion_values, verdict
-from toolkit.loops.closing.odometry import SubmapOdometry
+from toolkit.loops.closing.log_entries import motion_values
 from toolkit.loops.closing.options import ClosingOptions
 from toolkit.loops.closing.parts import ClosingParts
 from toolkit.loops.closing.submap_loops import SubmapLoops
-from toolkit.loops.closing.uncertainty import PathPose, frame_covariances
+from toolkit.loops.closing.uncertainty import PathPose
 from toolkit.loops.detection import LoopDetector
 from toolkit.loops.log import LoopLog
-from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops
-from toolkit.loops.pose_graph.correction import (
-    PoseCorrection,
-    submap_graph,
-)
-from toolkit.loops.pose_graph.graph import (
-    PoseEdge,
-    adjacent,
-    connected_parts,
-)
+from toolkit.loops.pose_graph.graph import PoseEdge
 from toolkit.loops.relocalisation import Relocalisation, Relocaliser
 from toolkit.mapping.mapper import Mapper
 from toolkit.stages import Stage
@@ -50,8 +40,6 @@ Array = NDArray[np.float64]
 
 # Number of similar keyframes that a doubtful frame is matched with.
 _SIMILAR = 4
-
-_log = logging.getLogger(__name__)
 
 
 class LoopCloser:
@@ -70,14 +58,18 @@ class LoopCloser:
         recorder: Recorder | None = None,
     ) -> None:
         self.options = options or ClosingOptions()
-        self.loops: list[PoseEdge] = []
         self._detector, self._parts, self._log = detector, parts, log
         self._recorder = recorder or NullRecorder()
-        self._odometry = SubmapOdometry(parts.noise)
+        self._graph = AnchorGraph(parts, self._record)
         self._pending: list[LoopCandidate] = []
         self._deferred = False
         self._between = SubmapLoops(parts, self.options, self._record)
         self._images = ImageLoops(parts, self._record)
+
+    @property
+    def loops(self) -> Sequence[PoseEdge]:
+        """The accepted loop edges between submaps."""
+        return self._graph.loops
 
     def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
         """Keyframes of the active submap that look most similar to a view; see `LoopClosing`."""
@@ -88,7 +80,7 @@ class LoopCloser:
     def map_loaded(self, atlas: Atlas) -> None:
         """Add the keyframes and the anchors of a loaded map, which is treated as rigid."""
         self._detector.add_saved_submaps(atlas.submap(number) for number in range(atlas.saved))
-        self._odometry.map_loaded(atlas)
+        self._graph.odometry.map_loaded(atlas)
 
     def defer(self) -> None:
         """Close loops between submaps in `finish` only, because registration takes long."""
@@ -117,7 +109,7 @@ class LoopCloser:
 
     def submap_started(self, atlas: Atlas, ended: int, information: Array) -> None:
         """Add the odometry edge to the new submap, and close the loops of the previous submap."""
-        self._odometry.started(atlas, ended, information)
+        self._graph.odometry.started(atlas, ended, information)
         self._submap_ended(atlas, ended)
 
     def submap_recovered(
@@ -129,21 +121,12 @@ class LoopCloser:
         self.keyframe_added(atlas)
 
     def enterable(self, atlas: Atlas) -> list[int]:
-        """Neighbours of the active submap by odometry, and those that loops connect to them.
-
-        The relative poses of others contain the drift of a long way, and their loops may be wrong.
-        """
-        near = self._beside({atlas.active})
-        near = self._beside(adjacent(near, self.loops))
-        return sorted(n for n in near if n != atlas.active and n >= atlas.saved)
-
-    def _beside(self, numbers: set[int]) -> set[int]:
-        """The submaps, and those that started in one of them or in which one of them started."""
-        return numbers.union(*(self._odometry.beside(number) for number in numbers))
+        """Numbers of the submaps that the camera may have entered; see `LoopClosing`."""
+        return self._graph.enterable(atlas)
 
     def origin(self, atlas: Atlas) -> int | None:
         """Number of the submap in which the active one started; see `LoopClosing`."""
-        return self._odometry.origins.get(atlas.active)
+        return self._graph.odometry.origins.get(atlas.active)
 
     def submap_entered(
         self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation
@@ -152,27 +135,26 @@ class LoopCloser:
 
         If it has none with the submap that was entered, the common frame becomes one.
         """
-        step = self._odometry.entered(atlas, ended, T_ended_camera, found)
+        step = self._graph.odometry.entered(atlas, ended, T_ended_camera, found)
         self._submap_ended(atlas, ended)
         if self._deferred or not self.options.between:
             return
         pair = {found.submap, ended}
-        edges = [*self._odometry.known, *self.loops]
-        if any({edge.first, edge.second} == pair for edge in edges):
+        if any({edge.first, edge.second} == pair for edge in self._graph.known):
             return
         step = step if step.first < step.second else step.inverted()
         loop = PoseEdge.loop(step.first, step.second, step.T_first_second, step.information)
-        self.loops.append(loop)
+        self._graph.loops.append(loop)
         values = {"first": loop.first, "second": loop.second}
         self._record("entered", values | {"visible": found.result.visible_fraction})
         with self._recorder.timed(Stage.LOOPS_BETWEEN):
-            self._correct_between(atlas)
+            self._graph.correct(atlas)
 
     def _submap_ended(self, atlas: Atlas, number: int) -> None:
         """Close the loops of a submap that is no longer active, unless this is deferred."""
         if not self._deferred:
             self.close_between(atlas, number)
-        self._odometry.ended.add(number)
+        self._graph.odometry.ended.add(number)
 
     def finish(self, atlas: Atlas, mapper: Mapper) -> None:
         """Close all remaining loops, and register overlapping submaps once more."""
@@ -200,7 +182,7 @@ class LoopCloser:
         Its odometry is interrupted, so its pose relative to the previous submap is uncertain. If
         the frame was relocalised in a submap, the relocalisation becomes a loop edge.
         """
-        self._odometry.started_lost(atlas, None if found is None else found.submap, reach)
+        self._graph.odometry.started_lost(atlas, None if found is None else found.submap, reach)
         new = atlas.active
         if found is None:
             return
@@ -208,7 +190,7 @@ class LoopCloser:
         edge = self._parts.loop_noise.edge(
             found.submap, new, result.T_map_camera, result.information
         )
-        self.loops.append(edge)
+        self._graph.loops.append(edge)
         values = {"first": found.submap, "second": new, "visible": result.visible_fraction}
         self._record("found", values | _found_motion(atlas, found))
 
@@ -226,17 +208,17 @@ class LoopCloser:
         with self._recorder.timed(Stage.LOOPS_BETWEEN):
             found = False
             # After a relocalisation, two submaps have a loop edge before they are registered.
-            existing = {(loop.first, loop.second): loop for loop in self.loops}
-            links = self._odometry.links
+            existing = self._graph.by_pair
+            links = self._graph.odometry.links
             by_objects = self._between.suspected_by_objects(atlas, number, candidates, links)
             suspected = {c.match_submap for c in candidates} | by_objects
-            if number in self._odometry.ended and not self._deferred:
+            if number in self._graph.odometry.ended and not self._deferred:
                 # The camera was here again.
                 suspected -= {n for pair in existing if number in pair for n in pair}
             images: Mapping[int, ImageEdges | None] = dict.fromkeys(sorted(suspected))
             if self._parts.verification is not None:
                 images = self._images.unambiguous(
-                    atlas, number, suspected, self.parts(atlas), candidates, links
+                    atlas, number, suspected, self._graph.parts(atlas), candidates, links
                 )
             for other, found_by_images in images.items():
                 edge = existing.get((other, number)) or existing.get((number, other))
@@ -247,9 +229,9 @@ class LoopCloser:
                     pairs = [(c.query, c.match) for c in candidates if c.match_submap == other]
                     self._between.confirm(atlas, edge, pairs)
                 if new is not None:
-                    self.loops.append(new if other < number else new.inverted())
+                    self._graph.loops.append(new if other < number else new.inverted())
                     found = True
-            return found and self._correct_between(atlas)
+            return found and self._graph.correct(atlas)
 
     def register_overlaps(self, atlas: Atlas) -> bool:
         """Register all overlapping finished submaps again.
@@ -264,14 +246,14 @@ class LoopCloser:
         if not self.loops or not self.options.between:
             return False
         with self._recorder.timed(Stage.ANCHOR_REGISTRATION):
-            existing = {(loop.first, loop.second): loop for loop in self.loops}
-            registered = []
-            for first, second in self._between.overlapping(atlas, set(existing), self.parts(atlas)):
-                edge = self._between.register(atlas, first, second, self._odometry.links)
+            existing = self._graph.by_pair
+            registered, parts = [], self._graph.parts(atlas)
+            for first, second in self._between.overlapping(atlas, set(existing), parts):
+                edge = self._between.register(atlas, first, second, self._graph.odometry.links)
                 edge = edge or existing.get((first, second))
                 registered += [] if edge is None else [edge]
-            self.loops = registered
-            moved = self._correct_between(atlas)
+            self._graph.loops = registered
+            moved = self._graph.correct(atlas)
             return self._register_neighbours(atlas) or moved
 
     def _register_neighbours(self, atlas: Atlas) -> bool:
@@ -283,83 +265,20 @@ class LoopCloser:
         connected = {(loop.first, loop.second) for loop in self.loops}
         missing = [pair for pair in self._between.neighbours(atlas) if pair not in connected]
         edges = [
-            self._between.register_neighbours(atlas, *pair, self._odometry.links)
+            self._between.register_neighbours(atlas, *pair, self._graph.odometry.links)
             for pair in missing
         ]
         new = [edge for edge in edges if edge is not None]
-        self.loops += new
-        return bool(new) and self._correct_between(atlas)
-
-    def _correct_between(self, atlas: Atlas) -> bool:
-        """Optimise the anchors over all consistent loops; return whether anchors moved."""
-        parts = self._parts
-        agreement = consistent_loops(
-            OdometryChain(self._odometry.links), self.loops, parts.pose_graph
-        )
-        for index, loop in enumerate(self.loops):
-            if index not in agreement.kept:
-                reason = agreement.reason(index)
-                values = {"first": loop.first, "second": loop.second}
-                self._record("consistency", values | verdict(reason))
-        self.loops = [self.loops[k] for k in agreement.kept]
-        if not self.loops:
-            return False
-        poses = {number: atlas.T_world_submap(number) for number in range(len(atlas))}
-        graph = submap_graph(poses, self._odometry.links, self.loops)
-        solution = parts.optimiser.optimise(graph)
-        retracted = [graph.edges[k] for k in solution.retracted]
-        for edge in retracted:
-            values = {"first": edge.first, "second": edge.second}
-            self._record("retracted", values | verdict("contradicts the rest of the graph"))
-        self.loops = [loop for loop in self.loops if not any(loop is e for e in retracted)]
-        correction = PoseCorrection.of(graph, solution)
-        for number, T in correction.T_new.items():
-            if number >= atlas.saved:
-                atlas.move(number, T)
-        self._record(
-            "correction between",
-            {"loops": len(self.loops), **correction_values(correction)},
-        )
-        _log.info(
-            "Closed %d loops between submaps: anchors moved by up to %.1f cm.",
-            len(self.loops),
-            100 * correction.largest_m,
-        )
-        return True
+        self._graph.loops += new
+        return bool(new) and self._graph.correct(atlas)
 
     def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
         """Submaps with known relative poses; see `LoopClosing`."""
-        return connected_parts(range(len(atlas)), [*self._odometry.known, *self.loops])
+        return self._graph.parts(atlas)
 
     def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array:
         """Covariances of frame poses; see `frame_covariances`."""
-        links = self._odometry.measured(path)
-        anchors: dict[int, Array] = {}
-        for part in self.parts(atlas):
-            anchors |= self._anchor_covariances(atlas, part, links)
-        ordered = [anchors[number] for number in range(len(atlas))]
-        return frame_covariances(ordered, path, self._parts.noise)
-
-    def _anchor_covariances(
-        self, atlas: Atlas, part: tuple[int, ...], links: Sequence[PoseEdge]
-    ) -> dict[int, Array]:
-        """Covariance [6, 6] of each anchor of a part relative to the first one, by number."""
-        links, loops = (
-            [edge for edge in edges if edge.first in part and edge.second in part]
-            for edges in (links, self.loops)
-        )
-        first, *others = part
-        anchors = {first: np.zeros((6, 6))}
-        if others and not loops:
-            chain = OdometryChain(links)
-            anchors |= {number: chain.covariance(first, number) for number in others}
-        elif others:
-            poses = {number: atlas.T_world_submap(number) for number in part}
-            graph = submap_graph(poses, links, loops)
-            solution = self._parts.optimiser.optimise(graph)
-            assert solution.covariances is not None
-            anchors = dict(zip(graph.nodes, solution.covariances, strict=True))
-        return anchors
+        return self._graph.covariances(atlas, path)
 
     def _record(self, kind: str, values: dict[str, Any]) -> None:
         if self._log is not None:
@@ -367,41 +286,21 @@ class LoopCloser:
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values for `restore`."""
-        arrays = {f"detector/{name}": array for name, array in self._detector.state().items()}
+        arrays, values = self._graph.state()
+        arrays |= {f"detector/{name}": array for name, array in self._detector.state().items()}
         if self._parts.objects is not None:
             known = self._parts.objects.state()
             arrays |= {f"objects/{name}": array for name, array in known.items()}
-        ends = []
-        for name, edges in self._edges().items():
-            T = np.array([edge.T_first_second for edge in edges]).reshape(-1, 4, 4)
-            information = np.array([edge.information for edge in edges]).reshape(-1, 6, 6)
-            arrays |= {f"{name}/T": T, f"{name}/information": information}
-            ends.append([[edge.first, edge.second] for edge in edges])
-        values = {
-            "ends": ends,
-            "odometry": self._odometry.values(),
-            "suspected": [asdict(candidate) for candidate in self._pending],
-            "log_bytes": None if self._log is None else self._log.size_bytes,
-        }
+        values["suspected"] = [asdict(candidate) for candidate in self._pending]
+        values["log_bytes"] = None if self._log is None else self._log.size_bytes
         return arrays, values
-
-    def _edges(self) -> dict[str, list[PoseEdge]]:
-        odometry = self._odometry
-        ways_back = list(odometry.ways_back.values())
-        return {"loops": self.loops, "links": odometry.links, "ways_back": ways_back}
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`, and truncate the log to its size at that time."""
         self._detector.restore(arrays_below(arrays, "detector/"))
         if self._parts.objects is not None:
             self._parts.objects.restore(arrays_below(arrays, "objects/"))
-        restored = []
-        for name, ends in zip(self._edges(), values["ends"], strict=True):
-            make = PoseEdge.loop if name == "loops" else PoseEdge
-            rows = zip(ends, arrays[f"{name}/T"], arrays[f"{name}/information"], strict=True)
-            restored.append([make(first, second, T, info) for (first, second), T, info in rows])
-        self.loops, links, ways_back = restored
-        self._odometry.restore(links, ways_back, values["odometry"])
+        self._graph.restore(arrays, values)
         self._pending = [LoopCandidate(**candidate) for candidate in values["suspected"]]
         if self._log is not None and values["log_bytes"] is not None:
             self._log.truncate(values["log_bytes"])
