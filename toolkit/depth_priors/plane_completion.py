@@ -1,9 +1,9 @@
 """Completion of depth on planar surfaces without texture.
 
 Matching finds no depth where an image shows no texture: on painted walls, doors and boards. Such a
-hole is completed if the depth around it and at the edges that bound it lies on one plane, apart from
-what is in front of the plane. Holes end where the intensity changes, so that no surface continues
-behind another one.
+hole is completed if the depth around it and at the edges that bound it lies on one plane, apart
+from what is in front of the plane. Holes end where the intensity changes, so that no surface
+continues behind another one.
 """
 
 from __future__ import annotations
