@@ -34,6 +34,8 @@ _PRIOR = np.array([0.3, 0.1, 0.1, 0.3])
 _MAX_DISTANCE, _SURFACE, _HALF_WEIGHT = 0.08, 0.02, 3.0
 _MIN_PIXELS, _MIN_PAIRS = 200, 6
 _ITERATIONS, _LARGEST_STEP, _CONVERGED = 25, 0.1, 2e-4
+# Intrinsics that still change so much after the last iteration are not determined.
+_UNSETTLED = 0.01
 # Against singular equations, where an image has no texture or shows a single plane.
 _RIDGE = 1e-6
 # Corrections that are reported: of the focal length (relative), the principal point (in focal
@@ -54,7 +56,7 @@ class IntrinsicsEstimate:
         sigmas: [4] their standard deviations, by the estimates without each pair of frames and
             without each quarter of the image: objects that move, and errors of depth, are in parts
             of it.
-        gain: factor by which they lower the noise that remains.
+        gain: factor by which they lower the noise that remains, median over pairs of frames.
     """
 
     values: Array
@@ -116,22 +118,27 @@ def estimate_intrinsics(pairs: Sequence[FramePair]) -> IntrinsicsEstimate | None
     stated, found = (_aligned(farthest, free) for free in (False, True))
     if stated is None or found is None:
         return None
-    gain = float(np.median(stated.noises) / np.median(found.noises))
-    return IntrinsicsEstimate(found.values, found.sigmas, gain)
+    both = stated.noises.keys() & found.noises.keys()
+    gains = [stated.noises[first] / found.noises[first] for first in both]
+    return IntrinsicsEstimate(found.values, found.sigmas, float(np.median(gains or [0.0])))
 
 
 @dataclass(frozen=True, eq=False)
 class _Aligned:
-    """Intrinsics [4] of pairs, their standard deviations [4], and the noise of each pair."""
+    """Intrinsics [4] of pairs, their standard deviations [4], and noises by first frames."""
 
     values: Array
     sigmas: Array
-    noises: list[float]
+    noises: dict[int, float]
 
 
 def _aligned(pairs: Sequence[_Pair], free: bool) -> _Aligned | None:
-    """Align pairs at the stated intrinsics, or together with free ones; None for too few."""
-    values = np.zeros(4)
+    """Align pairs at the stated intrinsics, or together with free ones.
+
+    Returns:
+        None with too few pairs, or if the intrinsics do not converge.
+    """
+    values, size = np.zeros(4), 0.0
     for _ in range(_ITERATIONS):
         used = [pair for pair in pairs if pair.linearise(values)]
         if len(used) < _MIN_PAIRS:
@@ -142,8 +149,11 @@ def _aligned(pairs: Sequence[_Pair], free: bool) -> _Aligned | None:
         step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-12))
         values = values + step
         moved = max(pair.move(step) for pair in used)
-        if max(moved, float(np.abs(step).max())) < _CONVERGED:
+        size = float(np.abs(step).max())
+        if max(moved, size) < _CONVERGED:
             break
+    if size > _UNSETTLED:  # no intrinsics explain objects that move
+        return None
     without = np.array([np.linalg.solve(H - part, -(g - own)) for part, own in reduced])
     quarters = [
         _summed([pair.reduced(without=n) for pair in used], values) for n in range(_QUARTERS)
@@ -153,7 +163,7 @@ def _aligned(pairs: Sequence[_Pair], free: bool) -> _Aligned | None:
         np.sqrt(len(used) / _independent(used)) * jackknife_sigmas(without),
         jackknife_sigmas(without_quarter),
     )
-    return _Aligned(values, sigmas, [pair.noise for pair in used])
+    return _Aligned(values, sigmas, {pair.frames[0]: pair.noise for pair in used})
 
 
 def _summed(reduced: Sequence[tuple[Array, Array]], values: Array) -> tuple[Array, Array]:
