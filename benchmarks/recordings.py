@@ -19,7 +19,32 @@ _SMALL = ("--image-size", "160", "120", "--sensor-noise")
 _CORRIDOR = ("--glossy", "--frames", "600", *_NOISE)
 _WALL = ("--frames", "300", *_NOISE)
 _TINY = ("--image-size", "120", "90", "--sensor-noise")
+_SHORT = ("--frames", "60", "--unseen", "0", "--image-size", "160", "120")
+# Parts of rooms for checks of recordings.
+SHORT_ROOMS: dict[str, tuple[str, ...]] = {
+    "short-room": (*_SHORT, "--share", "0.2"),
+    "short-room-noise": (*_SHORT, "--share", "0.2", *_NOISE),
+    "short-room-real": (*_SHORT, "--share", "0.3", "--real"),
+    "short-room-glossy": (*_SHORT, "--share", "0.3", "--glossy"),
+    "short-room-walker": (*_SHORT, "--share", "0.3", "--walker"),
+    "short-room-weak": (*_SHORT, "--share", "0.2", "--texture", "weak", *_NOISE),
+    "short-room-narrow": (*_SHORT, "--share", "0.2", "--fov-deg", "30", *_NOISE),
+    "short-room-wide": (*_SHORT, "--share", "0.2", "--fov-deg", "100", *_NOISE),
+    "short-room-large": ("--frames", "60", "--image-size", "640", "480", "--share", "0.2", *_NOISE),
+    "short-collection": (*_SHORT, "--share", "0.6", "--classes", "300"),
+    "short-rooms": (*_SHORT, "--layout", "rooms", "--share", "0.035", *_NOISE),
+    "short-hall": (*_SHORT, "--layout", "hall", "--share", "0.007", *_NOISE),
+    "short-ring": (*_SHORT, "--layout", "ring", "--share", "0.06", "--glossy", *_NOISE),
+    "short-twins": (*_SHORT, "--layout", "twins", "--share", "0.05", "--real"),
+    "short-orbit": (*_SHORT, "--layout", "orbit", "--share", "0.15", *_NOISE),
+    "short-still": (*_SHORT, "--layout", "still", "--share", "0.3", *_NOISE),
+    "short-long": (*_SHORT, "--layout", "long", "--share", "0.01", *_NOISE),
+    "short-corridor": (*_SHORT, "--layout", "corridor", "--share", "0.03", "--glossy", *_NOISE),
+    "short-wallpaper": (*_SHORT, "--layout", "wall", "--share", "0.2", "--texture", "wallpaper"),
+    "short-stripes": (*_SHORT, "--layout", "wall", "--share", "0.2", "--texture", "stripes"),
+}
 ROOMS: dict[str, tuple[str, ...]] = {
+    **SHORT_ROOMS,
     "room": (),
     "room-noise": ("--sensor-noise",),
     "room-objects": ("--frames", "120", "--sensor-noise"),

@@ -1,5 +1,6 @@
 """What is stated of a recording is compared with its images, and true statements pass."""
 
+import itertools
 import re
 from dataclasses import replace
 
@@ -10,11 +11,19 @@ from moving_room import CAMERA, pose, write_recording
 from toolkit.datasets import checks
 from toolkit.datasets.agreement.findings import contradictions
 from toolkit.datasets.agreement.given_poses import PoseAgreement, judge_given, sudden_steps
+from toolkit.datasets.agreement.intrinsics import estimate_intrinsics
 from toolkit.datasets.agreement.labels import label_finding
-from toolkit.datasets.agreement.pairs import aligned_pair, aligned_pairs
+from toolkit.datasets.agreement.pairs import (
+    _GAPS,
+    _later,
+    _SmallFrame,
+    aligned_pair,
+    aligned_pairs,
+)
 from toolkit.datasets.agreement.refine import with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
+from toolkit.datasets.shutter.levels import shutter_levels
 from toolkit.errors import SettingsError
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
@@ -39,6 +48,27 @@ def box(tmp_path_factory):
 
 def found(recording, **changes):
     return contradictions(RecordedDataset(replace(recording, **changes)))
+
+
+def aligned_frames(frames):
+    """Pairs of frames that are small already."""
+    return itertools.chain.from_iterable(
+        _later(
+            n, _GAPS, [_SmallFrame(shutter_levels(frames[n + gap]), None) for gap in (0, *_GAPS)]
+        )
+        for n in np.linspace(0, len(frames) - 1 - max(_GAPS), 8).astype(int).tolist()
+    )
+
+
+def with_board(frame):
+    """A frame whose middle shows a textured board that moves to the right."""
+    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    x = (u - CAMERA.cx) / CAMERA.fx * 0.9 - 0.02 * (frame.index - 20)
+    y = (v - CAMERA.cy) / CAMERA.fy * 0.9
+    on = (np.abs(x) < 0.25) & (np.abs(y - 0.1) < 0.25)
+    waves = np.sin(np.stack([23 * x, 31 * y, 17 * (x + y)], axis=-1)) * np.cos(9 * y)[..., None]
+    rgb = np.where(on[..., None], 0.5 + 0.4 * waves, frame.rgb).astype(np.float32)
+    return replace(frame, rgb=rgb, depth_m=np.where(on, np.float32(0.9), frame.depth_m))
 
 
 def test_true_statements_pass(box):
@@ -66,6 +96,30 @@ def test_distortion_that_is_not_stated_is_named(tmp_path):
     assert float(re.search(r"k1 = (\S+) ", line)[1]) == pytest.approx(-0.2, abs=0.03)
 
 
+def test_depth_that_is_wrong_in_a_quarter_of_the_image_is_no_focal_length(box):
+    dataset, wrong = RecordedDataset(box), []
+    for frame in dataset:
+        depth_m = frame.depth_m.copy()
+        depth_m[36:, 48:] *= 1.02
+        wrong.append(replace(frame, depth_m=depth_m))
+    assert not estimate_intrinsics(list(aligned_frames(wrong))).noted.any()
+
+
+def test_frames_that_overlap_are_one_observation(box):
+    pairs = aligned_pairs(RecordedDataset(box))
+    apart = [replace(p, first=40 * p.first, second=40 * p.first + 20) for p in pairs]
+    overlapping = [replace(p, first=p.first, second=p.first + 40) for p in pairs]
+    certain, doubtful = (estimate_intrinsics(found) for found in (apart, overlapping))
+    np.testing.assert_array_equal(certain.values, doubtful.values)
+    assert (doubtful.sigmas > 1.2 * certain.sigmas).any()
+
+
+def test_a_board_that_moves_before_the_camera_is_no_focal_length(box):
+    frames = [with_board(frame) for frame in RecordedDataset(box)]
+    found = estimate_intrinsics(list(aligned_frames(frames)))
+    assert found is None or not found.noted.any()
+
+
 def test_intrinsics_are_refined_where_they_are_wrong(tmp_path, box):
     bent = describe("folder", write_recording(tmp_path / "bent", TIMES_S, k1=-0.2))
     wrong = replace(bent, camera=replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy))
@@ -88,6 +142,25 @@ def test_the_unit_of_depth_is_compared_with_that_of_poses(box, factor):
     assert float(re.search(r"multiplied by (\S+) ", line)[1]) == pytest.approx(factor, rel=0.02)
     scale = float(re.search(r"depth_scale (\S+) instead of 5000", line)[1])
     assert scale == pytest.approx(5000.0 / factor, rel=0.02)
+
+
+def test_a_camera_that_stands_still_tells_no_unit(box):
+    pairs = aligned_pairs(RecordedDataset(box))
+    rng = np.random.default_rng(0)
+    still = []
+    for pair in pairs:
+        T = pair.pose.T_second_first.copy()
+        T[:3, 3] = 0.002 * rng.normal(size=3)
+        still.append(replace(pair, pose=replace(pair.pose, T_second_first=T)))
+    poses = box.ground_truth.T_world_camera.copy()
+    poses[:, :3, 3] = 0.0
+    for pair in still:
+        # The given steps have the right length, and those by images an error of the same size.
+        poses[pair.second, :3, 3] = poses[pair.first, :3, 3]
+        poses[pair.second, :3, 3] -= poses[pair.second, :3, :3] @ (
+            0.5 * pair.pose.T_second_first[:3, 3] + 0.001 * rng.normal(size=3)
+        )
+    assert judge_given(still, TIMES_S, Trajectory(TIMES_S, poses)).depth_factor == 1.0
 
 
 @pytest.mark.parametrize("frames", [1, 3, -2])

@@ -78,11 +78,44 @@ def small_report(**values) -> RegistrationReport:
     return RegistrationReport(**{**measured, **values})
 
 
-def test_small_blurred_images_pass_if_each_frame_correlates_near_zero_shift():
+def test_blurred_images_pass_if_each_frame_correlates_near_zero_shift():
     assert small_report().verdict() is None
+    assert small_report(width=320).verdict() is None
     assert "do not agree" in small_report(near_zero=0.9).verdict()
-    assert "do not agree" in small_report(shift_px=np.full((5, 2), 4.0)).verdict()
-    assert "do not agree" in small_report(width=320).verdict()
+    shifted = {"shift_px": np.full((5, 2), 4.0), "advantage": np.full(5, 0.5)}
+    clear = np.array([2.3, 3.4, 3.4, 2.4, 2.4])
+    assert "do not agree" in small_report(prominence=clear, **shifted).verdict()
+
+
+def test_edges_in_two_quarters_of_the_image_are_no_evidence():
+    assert "do not agree" in small_report(near_zero=0.4, parts=3).verdict()
+    assert small_report(near_zero=0.4, parts=2).verdict() is None
+
+
+def test_a_quarter_that_clearly_agrees_contradicts_a_shift_of_the_image():
+    # The first 50 frames of a corridor, whose panels have joints beside a door.
+    values = {
+        "shift_px": np.array(
+            [[-4.0, -6.0], [-16.0, -16.0], [-4.0, -6.0], [0.0, 1.0], [-3.0, -8.0]]
+        ),
+        "prominence": np.array([3.05, 0.0, 2.59, 3.77, 2.4]),
+        "advantage": np.array([0.59, 0.0, 0.14, 0.01, 1.13]),
+        "width": 320,
+    }
+    assert small_report(**values).verdict() is None
+    values["prominence"] = np.array([3.05, 0.0, 2.59, 2.77, 2.4])
+    assert "(-4, -6)" in small_report(**values).verdict()
+
+
+def test_single_pixels_of_noise_are_no_contours():
+    noisy = []
+    for i in range(24):
+        frame = scene(i)
+        depth_m = np.full_like(frame.depth_m, 3.0)
+        far = np.random.default_rng(i).random(depth_m.shape) < 0.001
+        noisy.append(dataclasses.replace(frame, depth_m=np.where(far, 4.0, depth_m)))
+    report = measure_registration(noisy)
+    assert report.edge_pixels == 0 and report.verdict() is None
 
 
 def test_shift_of_two_pixels_of_a_small_image_is_no_finding():

@@ -23,7 +23,7 @@ _CENTRAL, _USUAL_FOV_DEG, _MAX_ASPECT = (0.2, 0.8), (3.0, 150.0), 1.8
 # are closer to each other than this share of it; usual steps need some poses.
 _JUMP_M, _JUMP_STEPS, _RETURN, _MIN_POSES = 0.1, 10.0, 0.25, 5
 _COMMON_SCALES = (1000.0, 5000.0, 6553.5)
-_FRAMES = 24
+_FRAMES = 16
 
 
 def quick_findings(dataset: RecordedDataset) -> tuple[str, ...]:

@@ -138,6 +138,8 @@ _AS_GOOD = 0.92
 _MIN_GAIN = 0.35
 # Frames that agree by so much without any motion show the same scene.
 _COMPARABLE = 0.15
+# Poses by which the second frame sees less than this share of the points count as if it saw that.
+_MIN_SEEN = 0.5
 # A unit that agrees as well as the best scale up to this share is taken for the right one.
 _SAME_AGREEMENT = 0.985
 
@@ -171,7 +173,9 @@ def judge_convention(dataset: RecordedDataset) -> ConventionReport | None:
         found, best = replace(usual[int(scores.argmax())], scalar_first=True), float(scores.max())
     if best - still >= _MIN_GAIN * (1.0 - still):
         return ConventionReport(found, given, best, still)
-    if still >= _COMPARABLE and given < _AS_GOOD * still:
+    # A camera that moves forward leaves parts behind, which are no contradiction.
+    seen = float(_agreement(pairs, [OURS], of_seen=True)[0])
+    if still >= _COMPARABLE and seen < _AS_GOOD * still:
         return ConventionReport(None, given, best, still)
     return None
 
@@ -256,14 +260,16 @@ def _intensities(frame: Frame) -> Array:
     return cv2.GaussianBlur(grey, (0, 0), 1.0).astype(np.float64)
 
 
-def _agreement(pairs: Iterable[_Pair], conventions: list[PoseConvention]) -> Array:
-    """Agreement [H] of conventions with the images, mean over pairs."""
+def _agreement(
+    pairs: Iterable[_Pair], conventions: list[PoseConvention], of_seen: bool = False
+) -> Array:
+    """Agreement [H] of conventions with the images, mean over pairs; see `_pair_agreement`."""
     scores = []
     for pair in pairs:
         motions = [c.motion(pair.T_world_first, pair.T_world_second) for c in conventions]
         R = np.array([motion[:3, :3] for motion in motions])
         t = np.array([motion[:3, 3] for motion in motions])
-        scores.append(_pair_agreement(pair, R, t))
+        scores.append(_pair_agreement(pair, R, t, of_seen))
     return np.mean(scores, axis=0)
 
 
@@ -272,8 +278,12 @@ def _still_agreement(pairs: Iterable[_Pair]) -> float:
     return float(np.mean([_pair_agreement(pair, R, t)[0] for pair in pairs]))
 
 
-def _pair_agreement(pair: _Pair, R: Array, t: Array) -> Array:
-    """Agreement [H] of motions: share of points with the right depth, times their correlation."""
+def _pair_agreement(pair: _Pair, R: Array, t: Array, of_seen: bool = False) -> Array:
+    """Agreement [H] of motions: share of points with the right depth, times their correlation.
+
+    Args:
+        of_seen: the share of those that the second frame should see, if these are not too few.
+    """
     x, y, z = np.moveaxis(np.einsum("hij,nj->hni", R, pair.points) + t[:, None], 2, 0)
     camera = pair.frame.camera
     before = z > 1e-9
@@ -286,8 +296,9 @@ def _pair_agreement(pair: _Pair, R: Array, t: Array) -> Array:
     columns, rows = np.where(inside, columns, 0), np.where(inside, rows, 0)
     depth_m = pair.frame.depth_m[rows, columns]
     inside &= depth_m > 0
+    possible = np.maximum(inside.mean(axis=1), _MIN_SEEN) if of_seen else 1.0
     agrees = inside & (np.abs(z - depth_m) < _DEPTH_TOLERANCE * depth_m)
-    share = agrees.mean(axis=1)
+    share = agrees.mean(axis=1) / possible
     correlation = _correlation(pair.intensities, pair.image[rows, columns], agrees)
     return share * np.maximum(correlation, 0.0)
 

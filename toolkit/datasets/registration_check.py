@@ -35,13 +35,17 @@ _CLEAR_FIT_OF_QUARTER = 3.3
 _CLEAR_ADVANTAGE = 0.25
 _TOLERANCE = 5 / 640
 # Images narrower than _WIDTH blur edges of colour, by motion too, more than those of depth: the
-# best shift is less certain, and a registered sequence may have a low prominence (2.1, a fast walk
-# through noisy rooms at 160x120). Its frames still correlate on average more than by chance near
-# zero shift: 1.15 standard deviations or more, where mirrored and mispaired images have up to 1.
+# best shift is less certain.
 _TOLERANCE_PX = 2.5
-_CHANCE_OF_SMALL = 1.1
-_ENOUGH_EDGE_PIXELS = 3000
-# Texture without depth edges may mislead a single quarter.
+# A registered sequence may have a low prominence (1.9, noisy rooms at 160x120). Its frames still
+# correlate on average more than by chance near zero shift: 1.15 standard deviations or more, where
+# mirrored and mispaired images have up to 1.
+_CHANCE = 1.1
+# Depth edges count if they are contours of at least so many pixels; others are noise of far depth.
+# They must be in most quarters of the image: the edge of a single door may be beside one of colour.
+_CONTOUR_PIXELS = 16
+_ENOUGH_EDGE_PIXELS, _ENOUGH_IN_QUARTER, _MIN_PARTS = 1500, 100, 3
+# Texture without depth edges may mislead a single quarter, and all if it is in one of them.
 _ENOUGH_QUARTERS = 2
 
 
@@ -59,8 +63,9 @@ class RegistrationReport:
             the best; 0 if zero shift is the best.
         near_zero: maximum over shifts within the tolerance of the correlation, as prominence, but
             of each frame and averaged over frames.
-        edge_pixels: number of depth edge pixels.
+        edge_pixels: number of pixels of contours at depth edges.
         width: width of the original images in pixels.
+        parts: number of quarters of the image with such contours.
     """
 
     shift_px: NDArray[np.float64]
@@ -69,19 +74,24 @@ class RegistrationReport:
     near_zero: float
     edge_pixels: int
     width: int
+    parts: int = 4
 
     def verdict(self) -> str | None:
         """Return a one-line description of the defect, or None if edges agree or are too few."""
-        if self.edge_pixels < _ENOUGH_EDGE_PIXELS:
+        if self.edge_pixels < _ENOUGH_EDGE_PIXELS or self.parts < _MIN_PARTS:
             return None
         remedy = "register depth to colour, and check that the files are paired correctly"
-        if self.prominence[0] >= _CLEAR_FIT and self._shifted(0):
+        quarters = range(1, 5)
+        shifted = sum(self._shifted(part) for part in quarters)
+        agrees = any(
+            self._is_near(part) and self.prominence[part] >= _CLEAR_FIT_OF_QUARTER
+            for part in quarters
+        )
+        clear = self.prominence[0] >= _CLEAR_FIT
+        if clear and self._shifted(0) and not agrees:
             x, y = self.shift_px[0]
             return f"colour is shifted relative to depth by ({x:+.0f}, {y:+.0f}) px; {remedy}"
-        quarters = sum(self._shifted(i) for i in range(1, 5))
-        if self.width < _WIDTH and self.near_zero >= _CHANCE_OF_SMALL and self._is_near(0):
-            return None
-        if self.prominence[0] < _CLEAR_FIT or quarters >= _ENOUGH_QUARTERS:
+        if shifted >= _ENOUGH_QUARTERS or not (clear or self.near_zero >= _CHANCE):
             return f"edges of colour and depth do not agree for any shift; {remedy}"
         return None
 
@@ -106,7 +116,7 @@ def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
     """Correlate depth edges with colour gradients over frames of one camera."""
     total = np.zeros((5, 2 * _REACH + 1, 2 * _REACH + 1))
     standardised, frames_seen = np.zeros_like(total[0]), 0
-    edge_pixels, width = 0, _WIDTH
+    edge_pixels, width = np.zeros(4, np.int64), _WIDTH
     for frame in frames:
         width = frame.camera.width
         scale = width / _WIDTH
@@ -115,8 +125,10 @@ def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
         rgb = cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA)
         edges = depth_edges(np.asarray(depth_m, dtype=np.float32))
         gradient = _colour_gradient(np.asarray(rgb, dtype=np.float32))
-        edge_pixels += int(edges.sum())
-        quarters = [_correlation(edges * mask, gradient) for mask in _quarters(edges.shape)]
+        masks = _quarters(edges.shape)
+        contours = _contours(edges)
+        edge_pixels += [np.count_nonzero(contours & (mask > 0)) for mask in masks]
+        quarters = [_correlation(edges * mask, gradient) for mask in masks]
         total[1:] += quarters
         standardised += _standardised(np.sum(quarters, axis=0))
         frames_seen += 1
@@ -141,6 +153,14 @@ def depth_edges(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     edges[[0, -1], :] = False
     edges[:, [0, -1]] = False
     return edges.astype(np.float32)
+
+
+def _contours(edges: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels [H, W] of edges that are connected to enough others."""
+    _, parts, statistics, _ = cv2.connectedComponentsWithStats(edges.astype(np.uint8))
+    large = statistics[:, cv2.CC_STAT_AREA] >= _CONTOUR_PIXELS
+    large[0] = False
+    return np.asarray(large[parts], bool)
 
 
 def _filled_with_farther(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -199,7 +219,10 @@ def _tolerance_px(width: int) -> float:
 
 
 def _report(
-    total: NDArray[np.float64], mean: NDArray[np.float64], width: int, edge_pixels: int
+    total: NDArray[np.float64],
+    mean: NDArray[np.float64],
+    width: int,
+    edge_pixels: NDArray[np.int64],
 ) -> RegistrationReport:
     scale = width / _WIDTH
     shifts, prominences, advantages = [], [], []
@@ -216,6 +239,7 @@ def _report(
         np.array(prominences),
         np.array(advantages),
         float(mean[near, near].max()),
-        edge_pixels,
+        int(edge_pixels.sum()),
         width,
+        int((edge_pixels >= _ENOUGH_IN_QUARTER).sum()),
     )

@@ -190,13 +190,17 @@ def _certain_factor(own: Sequence[_Motion], pose_at: PoseAt, delay_s: float) -> 
         return 1.0
     seen, stated = (np.array([t[k] for _, t in known]) for k in (0, 1))
     anchors = np.array([m.anchor for m, _ in known])
-    factor = _factor(seen, stated)
-    if factor <= 0.0:  # the camera hardly moves
+    # Noise of the translations by images, and of the given ones, brings one of these factors each
+    # towards zero: the right one is between them. A camera that hardly moves has a wide range.
+    by_seen, by_stated = _factor(seen, stated), _factor(stated, seen)
+    if by_seen <= 0.0 or by_stated <= 0.0:
         return 1.0
-    others = np.array([_factor(seen[anchors != a], stated[anchors != a]) for a in set(anchors)])
-    sigma = float(jackknife_sigmas(others))
-    uncertain = abs(np.log(factor)) < max(_LEAST_FACTOR, _CERTAIN * sigma)
-    return 1.0 if uncertain else factor
+    low, high = np.log(by_seen), -np.log(by_stated)
+    others = [anchors != anchor for anchor in set(anchors)]
+    sigma = float(jackknife_sigmas(np.array([_factor(seen[o], stated[o]) for o in others])))
+    least = max(_LEAST_FACTOR, _CERTAIN * sigma)
+    uncertain = low < least and high > -least
+    return 1.0 if uncertain else float(np.exp(0.5 * (low + high)))
 
 
 def _factor(seen: Array, stated: Array) -> float:

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 # Positions of the unknowns: pose, gain and bias of a pair; intrinsics of all pairs.
 _OWN, _SHARED, _UNKNOWNS = slice(0, 8), slice(8, 12), 12
+# Parts of the image, without each of which the intrinsics are estimated as well.
+_QUARTERS = 4
 # Standard deviations of the intrinsics before the images are seen.
 _PRIOR = np.array([0.3, 0.1, 0.1, 0.3])
 # Maximum difference of corresponding depths, relative. Depths of neighbouring pixels on one surface
@@ -32,12 +34,14 @@ _PRIOR = np.array([0.3, 0.1, 0.1, 0.3])
 _MAX_DISTANCE, _SURFACE, _HALF_WEIGHT = 0.08, 0.02, 3.0
 _MIN_PIXELS, _MIN_PAIRS = 200, 6
 _ITERATIONS, _LARGEST_STEP, _CONVERGED = 25, 0.1, 2e-4
+# Intrinsics that still change so much after the last iteration are not determined.
+_UNSETTLED = 0.01
 # Against singular equations, where an image has no texture or shows a single plane.
 _RIDGE = 1e-6
 # Corrections that are reported: of the focal length (relative), the principal point (in focal
-# lengths) and the distortion, and in standard errors. Right recordings of real sensors have up to
-# 4.5, because registration and noise of depth are not modelled.
-_NOTED, _CERTAIN = np.array([0.03, 0.05, 0.05, 0.06]), 7.0
+# lengths) and the distortion, and in standard errors. As large corrections of right recordings of
+# real sensors have up to 3.7, because registration and noise of depth are not modelled.
+_NOTED, _CERTAIN = np.array([0.03, 0.05, 0.05, 0.06]), 5.0
 # They must lower the product of the noises of colour and depth by this factor.
 _MIN_GAIN = 1.02
 
@@ -49,8 +53,10 @@ class IntrinsicsEstimate:
     Attributes:
         values: [4] logarithm of the factor of the focal length, offset of the principal point along
             x and y in focal lengths, and coefficient k1 of radial distortion.
-        sigmas: [4] their standard deviations.
-        gain: factor by which they lower the noise that remains.
+        sigmas: [4] their standard deviations, by the estimates without each pair of frames and
+            without each quarter of the image: objects that move, and errors of depth, are in parts
+            of it.
+        gain: factor by which they lower the noise that remains, median over pairs of frames.
     """
 
     values: Array
@@ -112,51 +118,82 @@ def estimate_intrinsics(pairs: Sequence[FramePair]) -> IntrinsicsEstimate | None
     stated, found = (_aligned(farthest, free) for free in (False, True))
     if stated is None or found is None:
         return None
-    gain = float(np.median(stated.noises) / np.median(found.noises))
-    return IntrinsicsEstimate(found.values, found.sigmas, gain)
+    both = stated.noises.keys() & found.noises.keys()
+    gains = [stated.noises[first] / found.noises[first] for first in both]
+    return IntrinsicsEstimate(found.values, found.sigmas, float(np.median(gains or [0.0])))
 
 
 @dataclass(frozen=True, eq=False)
 class _Aligned:
-    """Intrinsics [4] of pairs, their standard deviations [4], and the noise of each pair."""
+    """Intrinsics [4] of pairs, their standard deviations [4], and noises by first frames."""
 
     values: Array
     sigmas: Array
-    noises: list[float]
+    noises: dict[int, float]
 
 
 def _aligned(pairs: Sequence[_Pair], free: bool) -> _Aligned | None:
-    """Align pairs at the stated intrinsics, or together with free ones; None for too few."""
-    values = np.zeros(4)
+    """Align pairs at the stated intrinsics, or together with free ones.
+
+    Returns:
+        None with too few pairs, or if the intrinsics do not converge.
+    """
+    values, size = np.zeros(4), 0.0
     for _ in range(_ITERATIONS):
         used = [pair for pair in pairs if pair.linearise(values)]
         if len(used) < _MIN_PAIRS:
             return None
         reduced = [pair.reduced() for pair in used]
-        H = np.diag(_PRIOR**-2) + sum(part for part, _ in reduced)
-        g = _PRIOR**-2 * values + sum(part for _, part in reduced)
+        H, g = _summed(reduced, values)
         step = np.asarray(np.linalg.solve(H, -g) if free else np.zeros(4), np.float64)
         step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-12))
         values = values + step
         moved = max(pair.move(step) for pair in used)
-        if max(moved, float(np.abs(step).max())) < _CONVERGED:
+        size = float(np.abs(step).max())
+        if max(moved, size) < _CONVERGED:
             break
+    if size > _UNSETTLED:  # no intrinsics explain objects that move
+        return None
     without = np.array([np.linalg.solve(H - part, -(g - own)) for part, own in reduced])
-    return _Aligned(values, jackknife_sigmas(without), [pair.noise for pair in used])
+    quarters = [
+        _summed([pair.reduced(without=n) for pair in used], values) for n in range(_QUARTERS)
+    ]
+    without_quarter = np.array([np.linalg.solve(H, -g) for H, g in quarters])
+    sigmas = np.hypot(
+        np.sqrt(len(used) / _independent(used)) * jackknife_sigmas(without),
+        jackknife_sigmas(without_quarter),
+    )
+    return _Aligned(values, sigmas, {pair.frames[0]: pair.noise for pair in used})
+
+
+def _summed(reduced: Sequence[tuple[Array, Array]], values: Array) -> tuple[Array, Array]:
+    """Equations [4, 4] and [4] of the intrinsics by all pairs and before the images are seen."""
+    H = np.diag(_PRIOR**-2) + sum(part for part, _ in reduced)
+    return H, _PRIOR**-2 * values + sum(part for _, part in reduced)
+
+
+def _independent(pairs: Sequence[_Pair]) -> float:
+    """Number of pairs that do not overlap in time; others show nearly the same errors."""
+    firsts, seconds = zip(*(pair.frames for pair in pairs), strict=True)
+    gap = float(np.median(np.array(seconds) - firsts))
+    return min(1.0 + (max(firsts) - min(firsts)) / gap, float(len(pairs)))
 
 
 class _Pair:
     """Two frames, their relative pose, and the normal equations of that and the intrinsics."""
 
     def __init__(self, pair: FramePair) -> None:
-        self.pose, self.noise = pair.pose, 0.0
+        self.pose, self.noise, self.frames = pair.pose, 0.0, (pair.first, pair.second)
         self._a, self._b = pair.levels
         camera, points = self._a.camera, self._a.samples
         # Pixels of the samples in focal lengths from the stated principal point.
         self._pixels = points[:, :2] / points[:, 2:]
         self._depths_m = points[:, 2]
         assert camera.size == self._b.camera.size
-        self._H, self._g = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+        right, low = (self._pixels > 0.0).T
+        self._quarter = 2 * low + right
+        self._H = np.zeros((_QUARTERS, _UNKNOWNS, _UNKNOWNS))
+        self._g = np.zeros((_QUARTERS, _UNKNOWNS))
 
     def linearise(self, values: Array) -> bool:
         """Compute the equations at these intrinsics; False with too few corresponding pixels."""
@@ -204,19 +241,26 @@ class _Pair:
         surface = (z - depth) * weight
         J_surface = point_by[:, 2] - np.einsum("ni,nik->nk", depth_slope, pixel_by)
         J_surface *= weight[:, None]
-        self._H, self._g = _RIDGE * np.eye(_UNKNOWNS), np.zeros(_UNKNOWNS)
+        self._H[:], self._g[:] = _RIDGE / _QUARTERS * np.eye(_UNKNOWNS), 0.0
         self.noise = 1.0
+        quarters = [self._quarter[known] == n for n in range(_QUARTERS)]
         for r, J in ((colour[known], J_colour[known]), (surface[known], J_surface[known])):
             sigma = 1.4826 * float(np.median(np.abs(r))) + 1e-6
             self.noise *= sigma
             weighted = J / (sigma**2 * (1.0 + (r / (_HALF_WEIGHT * sigma)) ** 2))[:, None]
-            self._H += J.T @ weighted
-            self._g += weighted.T @ r
+            for n, quarter in enumerate(quarters):
+                self._H[n] += J[quarter].T @ weighted[quarter]
+                self._g[n] += weighted[quarter].T @ r[quarter]
         return True
 
-    def reduced(self) -> tuple[Array, Array]:
-        """Equations [4, 4] and [4] of the intrinsics, pose and exposure eliminated."""
-        H, g = self._H, self._g
+    def reduced(self, without: int | None = None) -> tuple[Array, Array]:
+        """Equations [4, 4] and [4] of the intrinsics, pose and exposure eliminated.
+
+        Args:
+            without: number of a quarter of the image that is left out.
+        """
+        used = [n for n in range(_QUARTERS) if n != without]
+        H, g = self._H[used].sum(axis=0), self._g[used].sum(axis=0)
         known = np.column_stack([H[_OWN, _SHARED], g[_OWN]])
         eliminated = H[_SHARED, _OWN] @ np.linalg.solve(H[_OWN, _OWN], known)
         return H[_SHARED, _SHARED] - eliminated[:, :4], g[_SHARED] - eliminated[:, 4]
@@ -227,8 +271,9 @@ class _Pair:
         Returns:
             The largest change of an unknown.
         """
-        wanted = -(self._g[_OWN] + self._H[_OWN, _SHARED] @ step)
-        own = np.asarray(np.linalg.solve(self._H[_OWN, _OWN], wanted), np.float64)
+        H, g = self._H.sum(axis=0), self._g.sum(axis=0)
+        wanted = -(g[_OWN] + H[_OWN, _SHARED] @ step)
+        own = np.asarray(np.linalg.solve(H[_OWN, _OWN], wanted), np.float64)
         T = se3.orthonormalise(se3.exp(own[:6]) @ self.pose.T_second_first)
         self.pose = RelativePose(T, self.pose.exposure + own[6:])
         return float(np.abs(own).max())
