@@ -135,7 +135,8 @@ class ConventionReport:
 _AS_GOOD = 0.92
 # The best convention gains this share of what a camera without motion lacks to full agreement.
 # Right ones gain 0.42 to 0.75; poses of other images, or in another order, at most 0.28.
-_MIN_GAIN = 0.35
+# Images that look the same without motion tell no convention.
+_MIN_GAIN, _LEAST_GAIN = 0.35, 0.02
 # Frames that agree by so much without any motion show the same scene.
 _COMPARABLE = 0.15
 # Poses by which the second frame sees less than this share of the points count as if it saw that.
@@ -171,7 +172,7 @@ def judge_convention(dataset: RecordedDataset) -> ConventionReport | None:
     # Quaternions in the wrong order may resemble another convention in small motions.
     if _SAME_AGREEMENT * scores.max() > best:
         found, best = replace(usual[int(scores.argmax())], scalar_first=True), float(scores.max())
-    if best - still >= _MIN_GAIN * (1.0 - still):
+    if best - still >= max(_MIN_GAIN * (1.0 - still), _LEAST_GAIN):
         return ConventionReport(found, given, best, still)
     # A camera that moves forward leaves parts behind, which are no contradiction.
     seen = float(_agreement(pairs, [OURS], of_seen=True)[0])
