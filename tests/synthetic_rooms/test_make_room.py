@@ -131,7 +131,7 @@ def test_path_of_a_file_raises(tmp_path):
         ({"share": 0.0}, "share must lie in"),
         ({"width": 4}, "at least 16x16"),
         ({"seed": -1}, "must not be negative"),
-        ({"texture": "none"}, "texture must be one of normal, weak, wallpaper"),
+        ({"texture": "none"}, "texture must be one of normal, weak, plain"),
         ({"fov_deg": 5.0}, "fov_deg must lie in"),
         ({"classes": 19}, r"classes must lie in \[20, 500\], got 19"),
         ({"classes": 501}, r"classes must lie in \[20, 500\], got 501"),
