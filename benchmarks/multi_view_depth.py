@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
@@ -151,7 +150,7 @@ def _estimated(dataset: RecordedDataset) -> list[SweptKeyframe]:
     for view in motion.views:
         T = view.T_world_camera.copy()
         T[:3, 3] *= scale
-        views.append(replace(view, T_world_camera=T, near=scale * view.near, far=scale * view.far))
+        views.append(view.scaled(T, scale))
     return views
 
 

@@ -44,7 +44,7 @@ def with_depth(
     """
     recording = with_usable_depth(recording, max_frames)
     offset = options.depth_offset
-    if offset == "auto" and known is not None and known.fit(recording):
+    if offset == "auto" and known is not None:
         offset = known.depth_offset_px
     recording = _with_offset(recording, offset, max_frames)
     if options.ignore_carrier:
@@ -75,8 +75,6 @@ def with_estimates(
         max_frames: maximum number of frames from the start, or None for all.
         known: replaces what would be estimated.
     """
-    if known is not None and not known.fit(recording):
-        known = None
     if options.intrinsics == "refine" and known is not None:
         recording = with_intrinsics(recording, known.camera, known.distortion)
     elif options.intrinsics == "refine":

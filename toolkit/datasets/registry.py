@@ -102,7 +102,8 @@ def open_place(
 
     Args:
         place: with the path of the dataset.
-        known: what a run has estimated of the recording, which is not estimated again.
+        known: what a run has estimated of the recording, which is not estimated again unless its
+            images have another size.
     """
     assert place.path is not None
     recording = describe(place.kind, place.path, place.topics)
@@ -110,6 +111,8 @@ def open_place(
         recording = without_depth(recording)
     if place.fov_deg is not None:
         recording = with_fov(recording, place.fov_deg, place.path)
+    if known is not None and not known.fit(recording):
+        known = None
     if needs_depth:
         recording = with_depth(recording, place, max_frames, known)
     else:

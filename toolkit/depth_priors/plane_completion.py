@@ -165,8 +165,8 @@ def _fitted(places: Array, values: Array, rng: np.random.Generator) -> _Plane | 
         if np.linalg.cond(moments) > 1e8:  # all points on a line
             return None
         coefficients = np.linalg.inv(moments) @ (points.T @ values[near] / len(points))
-        near = _on_plane(places @ coefficients, values)
-        if not _is_surface(places @ coefficients, values):
+        near = _on_surface(places @ coefficients, values)
+        if near is None:
             return None
     points = places[near]
     residual = values[near] - points @ coefficients
@@ -186,18 +186,19 @@ def _ransac(places: Array, values: Array, rng: np.random.Generator) -> Mask | No
     on = _on_plane(fitted, values[some]).sum(-1)
     seen_through = _beyond(fitted, values[some]).sum(-1)
     best = planes[(on - _SEEN_THROUGH * seen_through).argmax()]
-    return _on_plane(places @ best, values) if _is_surface(places @ best, values) else None
+    return _on_surface(places @ best, values)
 
 
-def _is_surface(fitted: Array, values: Array) -> bool:
-    """Whether a plane is that of a hole: most points beside it that are not nearer are on it.
+def _on_surface(fitted: Array, values: Array) -> Mask | None:
+    """Points on a plane, if most of those beside the hole that are not nearer are; else None.
 
     Args:
         fitted: [N] inverse depth of the plane at the points. values: [N] that of the points.
     """
-    on, beyond = int(_on_plane(fitted, values).sum()), int(_beyond(fitted, values).sum())
+    near, beyond = _on_plane(fitted, values), int(_beyond(fitted, values).sum())
+    on = int(near.sum())
     needed = max(_MIN_SUPPORT, _MIN_OF_ALL * len(values), _MIN_SHARE * (on + beyond))
-    return on >= needed
+    return near if on >= needed else None
 
 
 def _beyond(fitted: Array, values: Array) -> Mask:
