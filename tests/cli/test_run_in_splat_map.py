@@ -88,13 +88,13 @@ def test_the_map_is_extended_and_labelled(extended, splats):
 
 def test_refinement_keeps_the_file_and_improves_the_rest(extended, tmp_path):
     refined = tmp_path / "refined"
-    assert main(["refine", str(extended), "--out", str(refined), "--iterations", "8"]) == 0
+    assert main(["refine", str(extended), "--out", str(refined), "--iterations", "16"]) == 0
     psnr_db = []
     for run in (extended, refined):
         assert main(["evaluate", str(run), "--max-views", "4"]) == 0
         metrics = json.loads((run / "metrics.json").read_text())
         psnr_db.append(metrics["images"]["mapped"]["psnr_db"])
-    assert psnr_db[1] > psnr_db[0] + 0.1
+    assert psnr_db[1] > psnr_db[0] + 0.2
     before, after = (load_run(run).submaps[0].gaussians for run in (extended, refined))
     np.testing.assert_array_equal(before.means, after.means)
 
