@@ -58,6 +58,16 @@ def test_a_frame_ends_the_wait_of_another_thread():
     assert found[0].captured.frame is FRAMES[0]
 
 
+def test_the_frame_that_is_taken_ends_the_wait_for_it():
+    buffer = filled(1)
+    waiter = threading.Thread(target=lambda: buffer.wait_until_taken(30.0))
+    waiter.start()
+    assert waiter.is_alive()
+    taken(buffer)
+    waiter.join(30.0)
+    assert not waiter.is_alive()
+
+
 def test_the_end_and_errors_come_after_the_last_frame():
     buffer = filled(1)
     buffer.end()

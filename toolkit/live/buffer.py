@@ -69,6 +69,11 @@ class FrameBuffer:
             self._ended, self._error = True, error
             self._changed.notify_all()
 
+    def wait_until_taken(self, timeout_s: float) -> None:
+        """Wait until no frame is left to take."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._frames, timeout_s)
+
     @property
     def has_frame(self) -> bool:
         """Whether `take` would return at once."""
@@ -91,4 +96,6 @@ class FrameBuffer:
             if not self._frames and self._error is not None:
                 raise self._error
             dropped, self._dropped = tuple(self._dropped), []
-            return Delivery(self._frames.popleft() if self._frames else None, dropped)
+            captured = self._frames.popleft() if self._frames else None
+            self._changed.notify_all()
+            return Delivery(captured, dropped)

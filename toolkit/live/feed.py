@@ -19,6 +19,8 @@ _log = logging.getLogger(__name__)
 
 # Interval at which a waiting feed looks whether it was interrupted.
 _POLL_S = 0.05
+# Maximum time for which a camera waits until its first frame is taken.
+_FIRST_S = 5.0
 # Maximum time until a camera that was stopped has returned from its driver.
 _JOIN_S = 5.0
 
@@ -135,8 +137,11 @@ class LiveFeed:
         """Fill the buffer; runs in a thread of its own."""
         limit = self._options.max_frames
         try:
-            for captured in self._camera.frames():
+            for count, captured in enumerate(self._camera.frames()):
                 self._buffer.put(captured)
+                if count == 0:
+                    # The frames before the first one that is processed would have no pose.
+                    self._buffer.wait_until_taken(_FIRST_S)
                 if self._stop.is_set() or (limit and captured.frame.index + 1 >= limit):
                     break
         except ToolkitError as error:
