@@ -45,7 +45,7 @@ class Panel {
 
   showModes() {
     const modes = colourModes(this.scene);
-    byId("modes").hidden = modes.length < 2;
+    byId("colours").hidden = modes.length < 2;
     this.modes.keep(modes.map(([mode]) => mode));
     arrange(byId("modes"), modes.map(([mode, name]) => {
       setText(this.modes.get(mode), name);
