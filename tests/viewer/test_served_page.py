@@ -115,6 +115,25 @@ def test_a_new_state_of_the_map_keeps_view_and_choices(server, watched):
     assert chosen == ["structure"], "the choice in the legend was lost"
 
 
+def test_labels_may_appear_later_and_their_tree_may_be_renumbered(server, watched):
+    page, scene = watched.page, two_panels()
+    plain = replace(scene.splats, levels=None, confidence=None)
+    show(server, watched, replace(scene, tree=None, splats=plain))
+    assert page.locator("#level").is_hidden()
+    show(server, watched, scene)
+    page.get_by_role("radio", name="Classes").click()
+    assert page.inner_text("#level-name") == "2 of 2: class"
+    page.get_by_role("button", name="wall").click()
+    last = len(scene.tree.nodes) - 1
+    splats = replace(scene.splats, levels=last - scene.splats.levels)
+    tree = replace(scene.tree, nodes=scene.tree.nodes[::-1])
+    show(server, watched, replace(scene, splats=splats, tree=tree))
+    chosen = page.locator('#legend button[aria-pressed="true"] span').all_text_contents()
+    assert chosen == ["wall"]
+    show(server, watched, replace(scene, tree=None, splats=plain))
+    assert page.evaluate("semsplatViewer.colouring.observed"), "colours as without labels"
+
+
 def test_the_tree_of_objects_grows_and_keeps_open_rooms_and_the_choice(server, watched):
     page = watched.page
     left, right = table(4, -0.9), table(6, -0.5, "room 2")
