@@ -75,7 +75,7 @@ class MapServer:
         url: the address of the page.
         page: the page.
         state: what is served.
-        is_own: tells whether a name in an URL is that of this server.
+        is_own: tells whether a name in a URL is that of this server.
     """
 
     def __init__(self, bound: socket.socket, host: str = "localhost") -> None:
@@ -119,7 +119,7 @@ class MapServer:
 
 
 def own_names(bound: socket.socket, host: str) -> Callable[[str], bool]:
-    """Return a function that tells whether a name in an URL can only be that of this server.
+    """Return a function that tells whether a name in a URL can only be that of this server.
 
     Pages of other hosts must not read a map through a name that they resolve to this machine (DNS
     rebinding). Numeric addresses are not resolved.
