@@ -223,10 +223,8 @@ def test_a_request_must_arrive_in_time(server, monkeypatch):
     for sent in (b"", b"GET /state HTTP/1.1\r\nHost: localhost"):
         assert ended(idle(server, sent))
     connection = idle(server)
-    begin_s = time.monotonic()
     with pytest.raises(ConnectionError):
         send_slowly(connection)  # each piece in time, but not all of them
-    assert time.monotonic() - begin_s < 3.0
     kept = connect(server)
     assert asked(kept, "/state")[0] == 200
     assert ended(kept.sock), "a connection is kept only for some time"
@@ -237,12 +235,28 @@ def test_idle_connections_do_not_lock_others_out(server, caplog):
     held = [idle(server, b"GET /state HTTP/1.1\r\n"[: 7 * (i % 3)]) for i in range(150)]
     begin_s = time.monotonic()
     assert asked(connect(server), "/state")[0] == 200
-    assert time.monotonic() - begin_s < 1.0
+    assert time.monotonic() - begin_s < connections.REQUEST_S, "it had to wait for another's end"
     assert threading.active_count() - before <= MAX_CONNECTIONS
     assert all(map(ended, held[:50])), "the oldest are closed first"
     for connection in held:
         connection.close()
     assert not caplog.records
+
+
+def test_clients_that_do_not_read_do_not_lock_others_out(server):
+    class Large(WholeMap):
+        def chunk(self, number: int) -> bytes:
+            return bytes(8_000_000)
+
+    server.show(Large(two_panels()))
+    request = f"GET /chunks/{server.state.version}/0 HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    held = [idle(server, request.encode()) for _ in range(MAX_CONNECTIONS)]
+    time.sleep(0.5)  # all of them are sent something
+    begin_s = time.monotonic()
+    assert asked(connect(server), "/state")[0] == 200
+    assert time.monotonic() - begin_s < connections.REQUEST_S, "it had to wait for another's end"
+    for connection in held:
+        connection.close()
 
 
 def test_without_a_free_thread_connections_are_refused(monkeypatch, caplog):
@@ -260,9 +274,7 @@ def test_without_a_free_thread_connections_are_refused(monkeypatch, caplog):
     for connection in slow:
         connection.request("GET", path)
     time.sleep(0.2)
-    begin_s = time.monotonic()
     assert asked(connect(server), "/state")[0] == 503
-    assert time.monotonic() - begin_s < 1.0
     release.set()
     assert [connection.getresponse().read() for connection in slow] == [b"late", b"late"]
     slow[0].close()

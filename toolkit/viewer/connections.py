@@ -31,8 +31,8 @@ _BUSY = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: c
 class BoundedServer(ThreadingHTTPServer):
     """Answers each connection in a thread of its own.
 
-    If all threads are taken, the connection that has waited longest for a request is closed, so
-    that idle ones do not lock out others. If none waits, the new one is refused.
+    If all threads are taken, the connection that has waited longest for its client is closed, so
+    that idle clients do not lock out others. If none waits, the new one is refused.
 
     Args:
         bound: a listening socket; the server closes it.
@@ -54,7 +54,7 @@ class BoundedServer(ThreadingHTTPServer):
 
     @contextmanager
     def waiting(self, connection: socket.socket) -> Iterator[None]:
-        """Mark a connection as one that waits for a request."""
+        """Mark a connection as one that waits for its client."""
         with self._lock:
             self._waiting[connection] = None
         try:
@@ -171,7 +171,8 @@ class RequestHandler(BaseHTTPRequestHandler):
                 self.send_header(name, value)
             self.end_headers()
             for begin in range(0, len(content), _PIECE_BYTES):
-                self.wfile.write(memoryview(content)[begin : begin + _PIECE_BYTES])
+                with self.server.waiting(self.connection):
+                    self.wfile.write(memoryview(content)[begin : begin + _PIECE_BYTES])
         except OSError:
             self.close_connection = True  # the page was closed meanwhile
 
