@@ -32,6 +32,10 @@ _WELL = 0.3
 _CHANCE, _NOISE_INTENSITY = 0.04, 0.015
 # Relative rise that the errors of pixels and of the map hide.
 _NOISE = 0.001
+# Up to this rise, what it is beside the other directions is measured, in at most so many steps, the
+# last of which reduces it by less than a fraction.
+_STEEP, _STEPS, _CONVERGED = 1.0, 8, 0.01
+_WEAK = 1e-6
 
 # Every so many rows and columns are used where derivatives are computed, and the pixels that they
 # are computed from.
@@ -58,11 +62,15 @@ class Determinacy:
         return np.asarray((duals.T * (self.rises / _NOISE)) @ duals)
 
 
-def determinacy(problem: LevelProblem) -> Determinacy:
+def determinacy(problem: LevelProblem, refit: bool = False) -> Determinacy:
     """Measure what an alignment determines.
+
+    Where the map ends or its stripes are slightly bent, a displacement raises the cost because
+    the rest of the pose does not fit any more, and nothing else determines it.
 
     Args:
         problem: at its aligned pose.
+        refit: align the rest of the pose at each displacement; otherwise rises are upper limits.
     """
     here = linearise(problem)
     H = _curvature(problem)
@@ -71,8 +79,12 @@ def determinacy(problem: LevelProblem) -> Determinacy:
     strengths, axes = np.linalg.eigh(H * np.outer(UNITS, UNITS))
     chance = _CHANCE * min(1.0, _NOISE_INTENSITY / problem.scales.intensity) ** 2
     directions, rises = (UNITS[:, None] * axes).T, np.zeros(6)
-    for k, direction in enumerate(directions):
-        rises[k] = max(_rise(problem, here.cost, direction) - chance, 0.0)
+    for k in range(len(directions)):
+        rise = _rise(problem, here.cost, directions[k])
+        if refit and rise < _STEEP:
+            # A direction that was measured before would lead back to it.
+            directions[k], rise = _valley(problem, here.cost, directions[k], directions[k + 1 :])
+        rises[k] = max(rise - chance, 0.0)
         if k > 0 and rises[k] > _WELL:
             rises[k + 1 :] = rises[k] * strengths[k + 1 :] / max(strengths[k], 1e-9)
             break
@@ -143,3 +155,36 @@ def _least_rise(problem: LevelProblem, cost: float, direction: Array) -> float:
     poses = (se3.exp(sign * direction) @ problem.T_model_frame for sign in (-1.0, 1.0))
     costs = [linearise(replace(problem, T_model_frame=T)).cost for T in poses]
     return min(costs) / max(cost, 1e-9) - 1.0
+
+
+def _valley(
+    problem: LevelProblem, cost: float, direction: Array, others: Array
+) -> tuple[Array, float]:
+    """The displacement [6] along which the cost rises least, and its rise, as of `_rise`.
+
+    Args:
+        direction: [6] the displacement that is kept. others: [N, 6] those that may be added.
+    """
+    ends = [_refitted(problem, sign * direction, others) for sign in (-1.0, 1.0)]
+    sign = -1.0 if ends[0][1] < ends[1][1] else 1.0
+    found, least = min(ends, key=lambda end: end[1])
+    near = least / max(cost, 1e-9) - 1.0
+    if near <= _WELL:
+        far = min(_refitted(problem, twice * found, others)[1] for twice in (-2.0, 2.0))
+        near = min(near, far / max(cost, 1e-9) - 1.0 - near)
+    return sign * found, max(near, 0.0)
+
+
+def _refitted(problem: LevelProblem, displacement: Array, others: Array) -> tuple[Array, float]:
+    """The displacement [6] of least cost that others [N, 6] lead to, and its cost."""
+    x, best = displacement, np.inf
+    for _ in range(_STEPS):
+        T = se3.exp(x) @ problem.T_model_frame
+        linear = linearise(replace(problem, T_model_frame=T))
+        if not linear.cost < (1.0 - _CONVERGED) * best:
+            break
+        displacement, best = x, linear.cost
+        H, g = others @ linear.H[:6, :6] @ others.T, others @ linear.g[:6]
+        step = -np.linalg.solve(H + _WEAK * np.eye(len(g)), g) @ others
+        x = se3.log(se3.exp(step) @ se3.exp(x))
+    return displacement, best

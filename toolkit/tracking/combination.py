@@ -61,12 +61,23 @@ class Combination:
         if self.motions is not None:
             first, second = (100.0 * share for share in self.motions)
             return f"{first:.0f} % of the features move in one way, {second:.0f} % in another"
-        covariance = np.linalg.inv(self.known + np.eye(6))
-        variances, axes = np.linalg.eigh(covariance / np.outer(UNITS, UNITS))
-        if variances[-1] < (_DETERMINED if after_ambiguous else _UNDETERMINED) ** 2:
+        sigma, axis = _least_determined(self.known)
+        if sigma < (_DETERMINED if after_ambiguous else _UNDETERMINED):
             return ""
-        name = _NAMES[int(np.argmax(np.abs(axes[:, -1])))]
+        name = _NAMES[int(np.argmax(np.abs(axis)))]
         return f"the view does not determine the motion: {name}"
+
+
+def is_determined(information: Array) -> bool:
+    """Whether information [6, 6] about a motion is enough in each direction."""
+    return _least_determined(information)[0] < _UNDETERMINED
+
+
+def _least_determined(information: Array) -> tuple[float, Array]:
+    """Largest standard deviation of a motion, in units of `UNITS`, and its direction [6]."""
+    covariance = np.linalg.inv(information + np.eye(6))
+    variances, axes = np.linalg.eigh(covariance / np.outer(UNITS, UNITS))
+    return float(np.sqrt(variances[-1])), axes[:, -1]
 
 
 def combined(T_map_camera: Array, information: Array, features: FeaturePose | None) -> Combination:

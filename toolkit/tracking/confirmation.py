@@ -48,7 +48,8 @@ def shows_same_place(first: Frame, second: Frame) -> bool:
         T, exposure = found.T_target_source, Exposure(*(float(v) for v in found.exposures[0]))
         similarity = aligned_correlation(models[_LEVEL], frame[_LEVEL], T)
         determined = determinacy(
-            LevelProblem(models[_LEVEL], frame[_LEVEL], T, found.scales, exposure, gate)
+            LevelProblem(models[_LEVEL], frame[_LEVEL], T, found.scales, exposure, gate),
+            refit=True,
         )
         pose = combined(T, determined.in_frame(T), None)
         if not (doubt_reason(similarity) or pose.ambiguity()):

@@ -14,7 +14,7 @@ from toolkit.alignment.similarity import Similarity, aligned_correlation
 from toolkit.frame import Recorder
 from toolkit.geometry import se3
 from toolkit.stages import Stage
-from toolkit.tracking.combination import Combination, combined
+from toolkit.tracking.combination import Combination, combined, is_determined
 from toolkit.tracking.evidence import doubt_reason
 from toolkit.tracking.result import Health
 from toolkit.tracking.views import RenderedView, Task
@@ -76,7 +76,10 @@ def judged(
         similarity = aligned_correlation(model, frame, T_view_camera)
         if not reason:
             scales, exposure, gate = alignment.scales, alignment.exposure, max_distance * 2**level
-            found = determinacy(LevelProblem(model, frame, T_view_camera, scales, exposure, gate))
+            problem = LevelProblem(model, frame, T_view_camera, scales, exposure, gate)
+            # Where features determine the pose, the rise of the cost only has to weigh it.
+            alone = task.features is None or not is_determined(task.features.information)
+            found = determinacy(problem, refit=alone)
             pose = combined(T_map_camera, found.in_frame(T_view_camera), task.features)
             reason = doubt_reason(similarity)
             # What the cost beside a wrong pose determines says nothing about the view.
