@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import numpy as np
 from toolkit.errors import DatasetError
 from toolkit.instances.masks import InstanceMasks
 from toolkit.instances.rle import decoded_mask
-from toolkit.io.user_files import read_text
+from toolkit.io.guarded.documents import read_json
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.segmenters.image_folder import resized_labels
 
@@ -105,10 +104,10 @@ class CocoMasks:
 
 def _read(path: Path) -> Mapping[str, Any]:
     try:
-        content = json.loads(read_text(path))
+        content = read_json(path)
     except OSError as error:
         raise DatasetError(f"cannot read {path}: {error.strerror}; check the path") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise DatasetError(f"{path} is not JSON ({error}); export the masks again") from error
     if not isinstance(content, dict):
         raise DatasetError(

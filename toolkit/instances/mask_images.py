@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError
 from toolkit.instances.masks import InstanceMasks
+from toolkit.io.guarded.arrays import read_arrays
 from toolkit.io.images import read_labels
 from toolkit.io.object_embeddings import unit_rows
 from toolkit.keyframe import Keyframe
@@ -123,9 +123,8 @@ def _read(file: Path) -> dict[str, NDArray]:
         DatasetError: the file is damaged, or a column has another shape or is not finite.
     """
     try:
-        with np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        arrays = read_arrays(file)
+    except (OSError, ValueError) as error:
         raise DatasetError(
             f"{file} cannot be read ({error}); write it again, or delete it"
         ) from error

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from toolkit.errors import DatasetError
-from toolkit.io.user_files import read_text
+from toolkit.io.guarded.documents import read_json
 
 _FORM = '{"void": 0, "classes": {"1": "name", ...}}'
 _COLOUR_FORM = '"colours": {"1": [red, green, blue], ...}, each 0 to 255'
@@ -85,7 +84,7 @@ def read_class_colours(path: Path) -> dict[int, tuple[int, int, int]] | None:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(read_text(path), object_pairs_hook=_unique)
+        content = read_json(path)
     except OSError as error:
         raise DatasetError(
             f"cannot read {path}: {error.strerror}; it must contain {_FORM}"

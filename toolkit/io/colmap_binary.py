@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from toolkit.errors import DatasetError, FormatError
+from toolkit.io.guarded.content import read_content
 
 # Name and number of parameters by the number of the camera model, of `src/colmap/sensor/models.h`.
 _CAMERA_MODELS = {
@@ -38,7 +39,7 @@ class _Reader:
         self.path = path
         self._at = 0
         try:
-            self._content = path.read_bytes()
+            self._content = read_content(path)
         except OSError as error:
             raise DatasetError(f"cannot read {path}: {error.strerror}; check the path") from error
 
