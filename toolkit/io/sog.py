@@ -144,6 +144,8 @@ def _decoded(name: str, content: bytes, max_pixels: int) -> Image:
         if image.width * image.height > max_pixels:
             raise DamagedError(f"{name} has {image.width}x{image.height} pixels")
         return np.asarray(image.convert("RGBA"))
+    except DamagedError:
+        raise
     except (OSError, ValueError, SyntaxError, Images.DecompressionBombError) as error:
         raise DamagedError(f"{name} is not a whole WebP or PNG image") from error
 
