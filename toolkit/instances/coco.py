@@ -14,11 +14,9 @@ from toolkit.errors import DatasetError
 from toolkit.instances.masks import InstanceMasks
 from toolkit.instances.rle import decoded_mask
 from toolkit.io.guarded.documents import read_json
+from toolkit.io.guarded.images import MAX_PIXELS
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.segmenters.image_folder import resized_labels
-
-# Maximum width and height of an image, in pixels.
-_MAX_SIDE = 2**15
 
 
 @dataclass(frozen=True)
@@ -45,6 +43,8 @@ class CocoMasks:
         self._path = path
         content = _read(path)
         try:
+            _check_unique(content["images"], "image")
+            _check_unique(content.get("categories", []), "category")
             names = {int(c["id"]): str(c["name"]) for c in content.get("categories", [])}
             sizes = {i["id"]: (*_size(i), str(i["file_name"])) for i in content["images"]}
             annotations = [(a["image_id"], _annotation(a, names)) for a in content["annotations"]]
@@ -118,9 +118,22 @@ def _read(path: Path) -> Mapping[str, Any]:
 
 def _size(image: Mapping[str, Any]) -> tuple[int, int]:
     height, width = int(image["height"]), int(image["width"])
-    if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
+    if height <= 0 or width <= 0 or height * width > MAX_PIXELS:
         raise ValueError(f"an image has {width}x{height} pixels")
     return height, width
+
+
+def _check_unique(entries: Sequence[Mapping[str, Any]], kind: str) -> None:
+    """Check that each id belongs to one entry.
+
+    Raises:
+        ValueError: one belongs to two.
+    """
+    seen = set()
+    for entry in entries:
+        if entry["id"] in seen:
+            raise ValueError(f"{kind} {entry['id']} is given twice")
+        seen.add(entry["id"])
 
 
 def _annotation(values: Mapping[str, Any], names: Mapping[int, str]) -> _Annotation:

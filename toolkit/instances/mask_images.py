@@ -23,6 +23,8 @@ _log = logging.getLogger(__name__)
 _SMALLEST = 1e-6
 # Maximum length of the name of a model (`object_embeddings`).
 _MAX_NAME = 200
+# The columns of the masks of an image; embeddings have some kilobytes each.
+_MAX_BYTES = 2**28
 
 
 class MaskImageFolder:
@@ -123,7 +125,7 @@ def _read(file: Path) -> dict[str, NDArray]:
         DatasetError: the file is damaged, or a column has another shape or is not finite.
     """
     try:
-        arrays = read_arrays(file)
+        arrays = read_arrays(file, max_bytes=_MAX_BYTES)
     except (OSError, ValueError) as error:
         raise DatasetError(
             f"{file} cannot be read ({error}); write it again, or delete it"

@@ -44,6 +44,7 @@ def read_class_names(path: Path) -> dict[int, str]:
             f"{path} names no classes; add those of the label images, or remove the labels"
         )
     names: dict[int, str] = {}
+    seen: dict[str, int] = {}
     for key, name in classes.items():
         number = _class_id(key, path)
         if not isinstance(name, str) or not name.strip():
@@ -55,7 +56,12 @@ def read_class_names(path: Path) -> dict[int, str]:
             if name.casefold() not in VOID_NAMES:
                 raise DatasetError(f"{path}: id 0 is void, so it cannot be '{name}'; renumber it")
             continue
-        names[number] = name
+        if name in seen:
+            raise DatasetError(
+                f"{path}: classes {seen[name]} and {number} are both called '{name}'; rename one, "
+                "or give them one id"
+            )
+        names[number], seen[name] = name, number
     return names
 
 
@@ -96,15 +102,6 @@ def _content(path: Path) -> dict[str, Any]:
     if content.get("void", 0) != 0:
         raise DatasetError(f"{path}: void is {content['void']!r}, but must be 0; renumber it")
     return content
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Build a JSON object and reject duplicate keys, of which `json` silently keeps the last."""
-    made = dict(pairs)
-    if len(made) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(f"'{next(k for k in keys if keys.count(k) > 1)}' is given twice")
-    return made
 
 
 def _mapping(content: dict[str, Any], key: str, path: Path) -> dict[str, Any]:

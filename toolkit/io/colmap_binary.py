@@ -40,8 +40,9 @@ class _Reader:
         self._at = 0
         try:
             self._content = read_content(path)
-        except OSError as error:
-            raise DatasetError(f"cannot read {path}: {error.strerror}; check the path") from error
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise DatasetError(f"cannot read {path}: {reason}; check the path") from error
 
     def values(self, layout: str) -> tuple[Any, ...]:
         try:

@@ -35,6 +35,8 @@ from toolkit.io.splat_labels import INSTANCE, SplatLabels, instances_in
 _log = logging.getLogger(__name__)
 
 _VOID = "void"
+# Bytes of the class tree, and of the labels of a splat in a tree of many levels.
+_ANY_BYTES, _MAX_ROW = 2**26, 256
 _LABELS = ("label", "levels", "confidence")
 
 
@@ -105,7 +107,7 @@ def read_label_file(splat_file: Path, count: int) -> LabelFile | None:
     if not path.is_file():
         return None
     try:
-        arrays = read_arrays(path)
+        arrays = read_arrays(path, max_bytes=_ANY_BYTES + _MAX_ROW * count)
         columns = _columns(arrays)
         taxonomy = parse_json(str(arrays["taxonomy"])) if "taxonomy" in arrays else None
         digest = str(arrays["splats_sha256"])

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from typing import IO, Self
 
 from toolkit.io.guarded.content import (
-    MAX_BYTES,
     DamagedError,
     PathLike,
     check_regular,
@@ -21,6 +20,8 @@ _ENCRYPTED = 1
 # Members of more than _ANY_RATIO bytes may be unpacked to at most this multiple of their size.
 _ANY_RATIO, _MAX_RATIO = 2**24, 200
 _MAX_ARCHIVE, _MAX_MEMBERS = 2**40, 1_000_000
+# Of a member, and of the members of a package that is checked.
+MAX_MEMBER = 2**32
 _CHUNK = 2**20
 
 
@@ -61,7 +62,7 @@ class Archive:
         """The unpacked size of a member in bytes."""
         return self._members[name].file_size
 
-    def check(self, max_bytes: int = MAX_BYTES) -> None:
+    def check(self, max_bytes: int = MAX_MEMBER) -> None:
         """Check all members.
 
         Args:
@@ -77,14 +78,14 @@ class Archive:
                 while stream.read(_CHUNK):
                     pass
 
-    def read(self, name: str, max_bytes: int = MAX_BYTES, max_ratio: float = _MAX_RATIO) -> bytes:
+    def read(self, name: str, max_bytes: int = MAX_MEMBER, max_ratio: float = _MAX_RATIO) -> bytes:
         """Unpack a member; arguments and errors as of `opened`."""
         with self.opened(name, max_bytes, max_ratio) as stream:
             return stream.read()
 
     @contextmanager
     def opened(
-        self, name: str, max_bytes: int = MAX_BYTES, max_ratio: float = _MAX_RATIO
+        self, name: str, max_bytes: int = MAX_MEMBER, max_ratio: float = _MAX_RATIO
     ) -> Iterator[IO[bytes]]:
         """A member as a stream within this context.
 

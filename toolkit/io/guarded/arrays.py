@@ -10,8 +10,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.io.guarded.archive import Archive
-from toolkit.io.guarded.content import MAX_BYTES, DamagedError, PathLike, check_regular, damage
+from toolkit.io.guarded.archive import MAX_MEMBER, Archive
+from toolkit.io.guarded.content import DamagedError, PathLike, check_regular, damage
 
 _SUFFIX = ".npy"
 _HEADERS: dict[tuple[int, int], Callable[..., Any]] = {
@@ -24,7 +24,7 @@ _ANY_RATIO = math.inf
 _CHUNK = 2**20
 
 
-def read_array(path: PathLike, max_bytes: int = MAX_BYTES) -> NDArray:
+def read_array(path: PathLike, max_bytes: int = MAX_MEMBER) -> NDArray:
     """Read a `.npy` file.
 
     Raises:
@@ -37,7 +37,7 @@ def read_array(path: PathLike, max_bytes: int = MAX_BYTES) -> NDArray:
 
 
 def read_arrays(
-    path: PathLike, wanted: Callable[[str], bool] | None = None, max_bytes: int = MAX_BYTES
+    path: PathLike, wanted: Callable[[str], bool] | None = None, max_bytes: int = MAX_MEMBER
 ) -> dict[str, NDArray]:
     """Read a `.npz` file.
 

@@ -12,8 +12,8 @@ from toolkit.io.printable import printable
 
 PathLike = str | os.PathLike[str]
 
-# A reader needs a small multiple of the size of a file.
-MAX_BYTES = 2**31
+# As many as maps of hundreds of millions of splats have.
+MAX_BYTES = 2**36
 _MAX_REASON = 200
 
 
