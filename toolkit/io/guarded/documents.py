@@ -122,6 +122,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _check_unique(keys: list[Any]) -> None:
     seen = set()
     for key in keys:
+        if not isinstance(key, Hashable):
+            raise DamagedError(f"{key!r} cannot be a key")
         if key in seen:
             raise DamagedError(f"the key {key!r} is given twice")
         seen.add(key)
