@@ -79,5 +79,7 @@ def damage() -> Iterator[None]:
         if error.errno is not None:
             raise
         raise DamagedError(error) from error
+    except RecursionError as error:
+        raise DamagedError("it nests too deeply") from error
     except Exception as error:
         raise DamagedError(error) from error
