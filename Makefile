@@ -146,10 +146,10 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	fi
 	@if PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libvulkan.so.1; then touch $@; fi
 
-# The pages of the viewers are tested in Debian's Chromium; without it, these tests are skipped.
+# The page of the viewer is tested in Debian's Chromium; without it, these tests are skipped.
 .stamps/chromium: | .stamps
 	@if ! command -v chromium >/dev/null; then \
-		( $(call apt,chromium,the browser for tests of the viewers is) ) || true; \
+		( $(call apt,chromium,the browser for tests of the viewer is) ) || true; \
 	fi
 	@if command -v chromium >/dev/null; then touch $@; fi
 

@@ -1,25 +1,23 @@
 """A viewer attached to a run in progress: `semsplat view --live` with one client.
 
-The client is a websocket that takes what a browser would take and draws nothing.
+The client asks for what the page in a browser would, and draws nothing.
 """
 
 from __future__ import annotations
 
+import http.client
+import json
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import viser
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
-
 from benchmarks.programs import start_semsplat_server
 
-_POLL_S = 0.05
+# The page asks every second.
+_POLL_S, _ASK_S = 0.05, 1.0
 # Printed by the viewer when it shows a state of a run in progress.
 _SHOWN, _OF_A_FRAME = "Show ", ", frame "
 
@@ -60,20 +58,24 @@ def _follow(run: Path, load: ViewerLoad, ended: threading.Event) -> None:
             return
     server, url = start_semsplat_server("view", str(run), "--live", "--port", "0")
     try:
-        _receive(url.replace("http://", "ws://"), load, ended)
+        _receive(url.removeprefix("http://"), load, ended)
     finally:
         server.send_signal(signal.SIGINT)
         messages = server.communicate()[1].splitlines()
     load.updates = sum(m.startswith(_SHOWN) and _OF_A_FRAME in m for m in messages)
 
 
-def _receive(url: str, load: ViewerLoad, ended: threading.Event) -> None:
-    protocol = Subprotocol(f"viser-v{viser.__version__}")
-    with connect(url, subprotocols=[protocol], max_size=None, compression=None) as client:
-        while not ended.is_set():
-            try:
-                load.received_mb += len(client.recv(_POLL_S)) / 1e6
-            except TimeoutError:
-                continue
-            except ConnectionClosed:
-                return
+def _receive(address: str, load: ViewerLoad, ended: threading.Event) -> None:
+    version = 0
+    while not ended.wait(_ASK_S):
+        state = json.loads(_content(address, "/state"))
+        if state["version"] != version:
+            version = state["version"]
+            load.received_mb += len(_content(address, "/scene")) / 1e6
+
+
+def _content(address: str, path: str) -> bytes:
+    connection = http.client.HTTPConnection(address, timeout=60.0)
+    with closing(connection):
+        connection.request("GET", path)
+        return connection.getresponse().read()

@@ -67,8 +67,8 @@ last pose before them; `ate_processed_rmse_cm` scores the frames that were proce
 optimisation is
 deferred to the time between the frames. `--record` writes frames, poses, map and times to a file
 for the viewer of Rerun. With "viewer attached", `semsplat view --live` follows the run in a process
-of its own, on the same machine; its client is a websocket that receives what a browser would and
-draws nothing. `viewer_updates` counts the states of the growing map that were shown. RedKitchen and
+of its own, on the same machine; its client receives what the page in a browser would and draws
+nothing. `viewer_updates` counts the states of the growing map that were shown. RedKitchen and
 the synthetic room have 320x240 pixels. Live runs depend on the speed and the load of the machine
 and are not reproducible."""
 

@@ -115,7 +115,8 @@ def test_labels_beside_a_sog_are_those_of_the_selected_gaussians(labelled_run, t
     scene = read_scene(path, ShownContent())
     chairs = read_splats(labelled_run / "map.ply").labels.label == IDS["chair"]
     assert scene.total == chairs.sum()
-    assert {scene.class_path(k)[-1] for k in range(len(scene.splats))} == {"chair"}
+    (node,) = np.unique(scene.splats.levels[:, -1])
+    assert scene.tree.nodes[node].path[-1] == "chair"
 
 
 def centroids(rgb: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def test_an_edited_map_can_be_viewed_and_converted_with_its_classes(noted_run, t
     assert read_splats(out / "map.ply").comments == (ORIGIN, UNITS)
     scene = read_scene(out / "map.ply", ShownContent())
     assert (scene.length, scene.notes) == ("units", (UNITS,))
-    assert "table" in {scene.class_path(k)[-1] for k in range(len(scene.splats))}
+    assert "table" in {scene.tree.nodes[node].path[-1] for node in scene.splats.levels[:, -1]}
     assert main(["export", str(out / "map.ply"), "--to", str(tmp_path / "map.sog")]) == 0
     assert Taxonomy.from_json(read_splats(tmp_path / "map.sog").taxonomy) == TAXONOMY
 

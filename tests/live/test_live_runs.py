@@ -12,10 +12,10 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from browser_pages import WatchedPage, chromium
 from scripted_camera import ScriptedCamera, room_frames
 
 from toolkit.cli.live import stopped_by_interrupt
@@ -31,10 +31,10 @@ from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.runs import snapshots
 from toolkit.runs.finished import load_run
 from toolkit.runs.settings import RunSettings
+from toolkit.viewer.html import write_page
 from toolkit.viewer.live import LiveRun
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.scene import ViewerScene
-from toolkit.viewer.server import MapServer, start_viser, stop_viser
 
 QUICK = MapperOptions(
     first_iterations=4, iterations=1, final_iterations=1, keyframes=KeyframePolicy(interval=1)
@@ -143,38 +143,47 @@ def test_a_viewer_follows_a_live_run(tmp_path: Path, monkeypatch):
     assert names(growing).items() & names(final).items(), "the finished run has the same objects"
     assert not (out / "live").exists()
     assert all(one.voxels_m is not None for one in growing.objects)
-    for scene in (growing, final):
-        overhang_m = overhang_at_clicks(scene)
-        assert len(overhang_m) > 20 and np.percentile(overhang_m, 90) < 0.1
+    with chromium() as browser:
+        page = WatchedPage(browser, evaluate=True)
+        for scene in (growing, final):
+            overhang_m = overhang_at_clicks(page, scene, tmp_path / "page.html")
+            assert len(overhang_m) > 20 and np.percentile(overhang_m, 90) < 0.1
 
 
 def names(scene: ViewerScene) -> dict[int, str]:
     return {one.number: one.name for one in scene.objects}
 
 
-def overhang_at_clicks(scene: ViewerScene) -> list[float]:
+CHOOSE = """([rows, eye, focal, pixels]) => {
+  const { scene } = semsplatViewer;
+  return pixels.map(([x, y]) => {
+    const splat = pickSplat(scene, { view: { rows, eye }, focal, width: 0, height: 0 }, x, y);
+    return splat === null ? null : objectOf(scene, describeSplat(scene, splat))?.number ?? null;
+  });
+}"""
+
+
+def overhang_at_clicks(page: WatchedPage, scene: ViewerScene, file: Path) -> list[float]:
     """How far the surface lies outside of the box of the chosen object, at pixels that choose one.
 
     The pixels are those of the last frame, the surface is its true depth.
     """
-    pytest.importorskip("viser")
+    write_page(file, scene)
+    page.page.goto(file.as_uri())
     frame, T = FRAMES[-1], scene.path[-1]
-    objects = {one.number: one for one in scene.objects}
+    points_m = frame.camera.unproject(frame.depth_m, 4).reshape(-1, 3)
+    pixels = frame.camera.fx * points_m[:, :2] / points_m[:, 2:]
+    view = [T[:3, :3].T.tolist(), T[:3, 3].tolist(), frame.camera.fx, pixels.tolist()]
+    corners_m = {one.number: one.corners_m for one in scene.objects}
     found_m = []
-    server = start_viser("127.0.0.1", 0)
-    try:
-        shown = MapServer(server)
-        shown.show(scene)
-        for local in frame.camera.unproject(frame.depth_m, 4).reshape(-1, 3):
-            ray_m = T[:3, :3] @ local
-            shown._controls._clicked(SimpleNamespace(ray_origin=T[:3, 3], ray_direction=ray_m))
-            chosen = objects.get(shown._controls._objects._chosen)
-            if chosen is not None:
-                offset_m = T[:3, 3] + ray_m - chosen.corners_m.mean(axis=0)
-                along_m = chosen.edges_m / chosen.size_m[:, None] @ offset_m
-                found_m.append(float((np.abs(along_m) - chosen.size_m / 2).max()))
-    finally:
-        stop_viser(server)
+    for point_m, number in zip(points_m, page.page.evaluate(CHOOSE, view), strict=True):
+        if number is not None:
+            box_m = corners_m[number]
+            edges_m = box_m[[1, 2, 4]] - box_m[0]
+            sizes_m = np.linalg.norm(edges_m, axis=1)
+            offset_m = T[:3, :3] @ point_m + T[:3, 3] - box_m.mean(axis=0)
+            along_m = edges_m / sizes_m[:, None] @ offset_m
+            found_m.append(float((np.abs(along_m) - sizes_m / 2).max()))
     return found_m
 
 

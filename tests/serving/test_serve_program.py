@@ -18,7 +18,7 @@ import httpx2 as httpx
 import pytest
 
 from toolkit.cli.main import main
-from toolkit.serving.server import bind, is_local
+from toolkit.io.addresses import bind, is_local
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -1,27 +1,19 @@
-"""Streamed maps: the server, what it sends, and the page that loads it, in Chromium."""
+"""Streamed maps: what the server sends, and the page that loads it, in Chromium."""
 
 from __future__ import annotations
 
-import http.client
 import json
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from browser_pages import WatchedPage, chromium, mean_colour
 from painted_scenes import two_panels
 
-from toolkit.io.splats import write_splat_ply
-from toolkit.runs.splat_clouds import read_cloud
-from toolkit.viewer.colouring import CLASSES, SOURCE, SUBMAPS, legend
+from toolkit.io.addresses import bind
 from toolkit.viewer.html import write_page
-from toolkit.viewer.packing import pack_chunk
 from toolkit.viewer.scene import ViewerScene
-from toolkit.viewer.stream_server import StreamServer
+from toolkit.viewer.server import MapServer
 from toolkit.viewer.streaming import StreamedMap, tallies
 
 COUNT, BUDGET = 8_000, 5_000
@@ -36,7 +28,8 @@ def shown():
 
 @pytest.fixture(scope="module")
 def server(shown):
-    started = StreamServer(shown, "127.0.0.1", 0)
+    started = MapServer(bind("127.0.0.1", 0))
+    started.show(shown, finished=True)
     yield started
     started.stop()
 
@@ -50,7 +43,7 @@ def browser():
 @pytest.fixture
 def opened(browser, server):
     watched = WatchedPage(browser, evaluate=True)
-    watched.page.goto(f"http://127.0.0.1:{server.get_port()}/")
+    watched.page.goto(server.url)
     completed(watched)
     yield watched
     assert watched.errors == []
@@ -75,25 +68,6 @@ def moved(watched: WatchedPage, script: str) -> None:
     completed(watched)
 
 
-def test_the_server_sends_page_and_chunks_on_one_connection(shown, server):
-    connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=10)
-    for path, expected in (
-        ("/", shown.page),
-        ("/chunks/0", pack_chunk(shown.tree.content(0))),
-        ("/chunks/3", pack_chunk(shown.tree.content(3))),
-    ):
-        connection.request("GET", path)
-        answer = connection.getresponse()
-        assert answer.status == 200 and answer.read() == expected
-    for path in (f"/chunks/{len(shown.tree.nodes)}", "/chunks/-1", "/chunks/../x", "/etc/passwd"):
-        connection.request("GET", path)
-        answer = connection.getresponse()
-        assert (answer.status, answer.read()) == (404, b"not found\n")
-    connection.request("GET", "/chunks/0", headers={"Host": "elsewhere.example"})
-    answer = connection.getresponse()
-    assert answer.status == 403 and b"not that of the map" in answer.read()
-
-
 def test_chunks_contain_what_the_page_decodes(shown):
     content = shown.chunk(1)
     length = int.from_bytes(content[:4], "little")
@@ -105,20 +79,21 @@ def test_chunks_contain_what_the_page_decodes(shown):
     assert shown.chunk(len(shown.tree.nodes)) is None
 
 
-def test_tallies_count_like_the_legend():
+def test_tallies_count_paths_submaps_and_sources():
     few = two_panels(300)
     few.splats.levels[:30, 1] = -1
-    counted = tallies(few.splats)
-    assert sum(number for _, number in counted["classes"]) == 300
-    by_class: dict[int, int] = {}
-    for nodes, number in counted["classes"]:
-        by_class[nodes[1]] = by_class.get(nodes[1], 0) + number
-    expected = sorted(row.fraction for row in legend(few, CLASSES, 1))
-    assert sorted(number / 300 for number in by_class.values()) == pytest.approx(expected)
-    assert by_class[65535] == 30
-    for name, mode in (("submaps", SUBMAPS), ("source", SOURCE)):
-        shares = sorted(number / 300 for _, number in counted[name])
-        assert shares == pytest.approx(sorted(row.fraction for row in legend(few, mode, 0)))
+    furniture, table = few.splats.levels[100]
+    structure, wall = few.splats.levels[101]
+    assert tallies(few.splats) == {
+        "classes": [
+            [[furniture, 65535], 15],
+            [[furniture, table], 135],
+            [[structure, 65535], 15],
+            [[structure, wall], 135],
+        ],
+        "submaps": [[0, 150], [1, 150]],
+        "source": [[0, 150], [1, 150]],
+    }
 
 
 def test_the_streamed_picture_is_that_of_the_whole_map(opened, browser, server, tmp_path):
@@ -139,7 +114,7 @@ def test_the_streamed_picture_is_that_of_the_whole_map(opened, browser, server, 
         colours = mean_colour(streamed, *place), mean_colour(whole.picture(), *place)
         assert np.abs(colours[0] - colours[1]).max() < 15
     asked = [url for url in opened.requests if not url.startswith(("blob:", "data:"))]
-    assert all(url.startswith(f"http://127.0.0.1:{server.get_port()}/") for url in asked)
+    assert all(url.startswith(f"{server.url}/") for url in asked)
     assert "8,000 Gaussians, at most 5,000 at once" in opened.page.inner_text("#counts")
 
 
@@ -187,10 +162,11 @@ def test_the_budget_and_the_memory_are_kept_while_the_view_moves(opened, shown):
 
 def test_a_highlight_is_shown_at_the_start(browser):
     shown = StreamedMap.build(two_panels(600), 300, "wall", node_size=100, root_size=100)
-    server = StreamServer(shown, "127.0.0.1", 0)
+    server = MapServer(bind("127.0.0.1", 0))
+    server.show(shown, finished=True)
     watched = WatchedPage(browser)
     try:
-        watched.page.goto(f"http://127.0.0.1:{server.get_port()}/")
+        watched.page.goto(server.url)
         completed(watched)
         assert watched.page.inner_text("#query-result") == "wall: 300 Gaussians"
         picture = watched.picture()
@@ -198,39 +174,3 @@ def test_a_highlight_is_shown_at_the_start(browser):
     finally:
         server.stop()
     assert watched.errors == []
-
-
-def with_harmonics(run, folder):
-    """The map of a run with colours that depend on the direction of view."""
-    cloud = read_cloud(run / "map.ply")
-    shapes = cloud.ellipsoids
-    harmonics = torch.full((len(cloud), 3, 3), 0.1)
-    view_dependent = replace(cloud, ellipsoids=replace(shapes, harmonics=harmonics))
-    write_splat_ply(folder / "map.ply", view_dependent)
-    return folder / "map.ply"
-
-
-@pytest.mark.parametrize("why", ["size", "harmonics"])
-def test_the_program_streams_what_the_other_page_cannot_show(tiny_run, tmp_path, why):
-    shown = tiny_run if why == "size" else with_harmonics(tiny_run, tmp_path)
-    limit = "300" if why == "size" else "300000"
-    words = ["view", str(shown), "--port", "0", "--viewer.max-gaussians", limit]
-    with subprocess.Popen(
-        [sys.executable, "-m", "toolkit.cli.main", *words, "--budget", "500"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # Shells start background jobs, and so the tests in them, with SIGINT ignored.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    ) as process:
-        try:
-            address = process.stdout.readline().strip()
-            assert address.startswith("http://127.0.0.1:"), process.stderr.read()
-            connection = http.client.HTTPConnection(address.removeprefix("http://"), timeout=10)
-            connection.request("GET", "/")
-            assert b'"stream":{"budget":' in connection.getresponse().read()
-            process.send_signal(signal.SIGINT)
-            assert process.wait(timeout=20) == 0
-        finally:
-            process.kill()
-        assert "Traceback" not in process.stderr.read()

@@ -1,4 +1,4 @@
-"""What the viewers show: thinning, names, colours, picking and the binary form."""
+"""What the viewer shows: thinning, names and the binary form."""
 
 from __future__ import annotations
 
@@ -9,34 +9,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from painted_scenes import CAMERA, node, tree, two_panels
+from painted_scenes import CAMERA, tree, two_panels
 
 from toolkit.errors import ToolkitError
 from toolkit.exposure import IDENTITY
 from toolkit.gaussians.ellipsoids import Ellipsoids
 from toolkit.io.splat_shapes import SplatShapes, relative_covariances
 from toolkit.keyframe import Keyframe
-from toolkit.viewer.colouring import (
-    CLASSES,
-    COLOUR,
-    CONFIDENCE,
-    SOURCE,
-    SUBMAPS,
-    appearance,
-    colour_modes,
-    legend,
-)
 from toolkit.viewer.keyframes import DepthEvidence
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.packing import pack
-from toolkit.viewer.picking import pick
 from toolkit.viewer.reading import read_scene
 from toolkit.viewer.scene import (
     DOUBTFUL,
     HARMONIC_STEPS,
     INTERRUPTED,
     PATH_RGB,
-    ShownSplats,
     ViewerScene,
     path_states,
 )
@@ -49,7 +37,6 @@ def test_a_run_is_described_with_classes_cameras_and_images(tiny_run):
     assert len(scene.splats) == 500 < scene.total
     assert scene.tree is not None
     assert scene.splats.levels.shape == (500, len(scene.tree.levels))
-    assert scene.class_path(0) == scene.tree.nodes[scene.splats.levels[0, -1]].path
     assert scene.path.shape == (6, 4, 4)
     images = [k.image for k in scene.keyframes if k.image is not None]
     assert 1 <= len(images) <= 2
@@ -110,46 +97,6 @@ def test_names_are_found():
     assert set(names["table, wall"]) == {"table", "wall"}
     assert names["furniture > t"] == ["table"]
     assert names["sofa"] == names[" "] == []
-
-
-def test_colours_of_every_kind():
-    scene = two_panels()
-    assert colour_modes(scene) == [COLOUR, CLASSES, SUBMAPS, CONFIDENCE, SOURCE]
-    assert (appearance(scene, COLOUR, 0).rgb == scene.splats.rgb).all()
-    for mode in (CLASSES, SUBMAPS, CONFIDENCE, SOURCE):
-        rgb = appearance(scene, mode, 1).rgb
-        assert (rgb[0] != rgb[1]).any() and (rgb[0] == rgb[2]).all(), mode
-    rows = legend(scene, CLASSES, 0)
-    assert {row.name: row.fraction for row in rows} == {"furniture": 0.5, "structure": 0.5}
-    assert [row.name for row in legend(scene, SUBMAPS, 0)] == ["submap 0", "submap 1"]
-    assert legend(scene, COLOUR, 0) == []
-
-
-def test_highlighting_dims_the_others():
-    scene = two_panels()
-    look = appearance(scene, CLASSES, 1, [node(scene.tree, "table")])
-    assert look.opacities[0] == pytest.approx(0.95)
-    assert look.opacities[1] < 0.1
-    assert len(set(look.rgb[1])) == 1, "Gaussians that are not highlighted are grey"
-
-
-def test_picking_returns_the_nearest_opaque_gaussian():
-    scene = two_panels()
-    for x, name in ((-0.5, "table"), (0.5, "wall")):
-        found = pick(scene.splats, np.zeros(3), np.array([x, 0.0, 2.0]))
-        assert scene.class_path(found)[-1] == name
-    assert pick(scene.splats, np.zeros(3), np.array([0.0, 0.0, -1.0])) is None
-    assert pick(scene.splats, np.zeros(3), np.array([3.0, 0.0, 2.0])) is None
-
-
-def test_picking_skips_transparent_gaussians():
-    splats = ShownSplats(
-        means_m=np.array([[0, 0, 1], [0, 0, 2]], np.float32),
-        sigmas_m=np.full(2, 0.1, np.float32),
-        opacities=np.array([0.2, 0.9], np.float32),
-        rgb=np.zeros((2, 3), np.uint8),
-    )
-    assert pick(splats, np.zeros(3), np.array([0.0, 0.0, 1.0])) == 1
 
 
 def test_the_binary_form_keeps_positions_sizes_and_nodes():

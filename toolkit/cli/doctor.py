@@ -49,7 +49,6 @@ _OPTIONAL = {
     "fastapi": ("fastapi", "semsplat serve"),
     "mcp": ("mcp", "semsplat serve --mcp"),
     "uvicorn": ("uvicorn", "semsplat serve"),
-    "viser": ("viser", "semsplat view"),
 }
 
 # Shared library that Open3D loads: Debian package.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 
 from toolkit.cli.map_programs import ServeOptions
-from toolkit.serving.server import bind, is_local, serve, serve_mcp
+from toolkit.io.addresses import bind, is_local
+from toolkit.serving.server import serve, serve_mcp
 
 _log = logging.getLogger(__name__)
 

@@ -15,6 +15,7 @@ from starlette.datastructures import Headers
 
 from toolkit import __version__
 from toolkit.errors import FormatError, SettingsError, ToolkitError
+from toolkit.io.addresses import is_local
 from toolkit.serving.admission import Computations, OverloadedError
 from toolkit.serving.listing import Listed, listing_page
 from toolkit.serving.options import ServiceLimits
@@ -25,7 +26,6 @@ from toolkit.serving.requests import (
     ViewParameters,
 )
 from toolkit.serving.served_run import NotAvailableError, ServedRun
-from toolkit.serving.server import is_local
 
 KeyframeNumber = Annotated[int, Path(ge=0, le=10**9)]
 _PNG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/png": {}}}}

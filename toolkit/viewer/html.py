@@ -1,15 +1,16 @@
-"""The page: one HTML file with the scene, the program and its style."""
+"""The page: one HTML file with the program, its style, and the scene unless a server sends it."""
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 
 from toolkit.io.atomic import utf8, write_bytes, write_text
-from toolkit.viewer.packing import PackedScene, pack
+from toolkit.viewer.packing import pack
 from toolkit.viewer.scene import ViewerScene
 
 # Scripts of the page, in the order in which they use each other.
@@ -25,13 +26,17 @@ SCRIPTS = (
     "line_renderer.js",
     "colouring.js",
     "picking.js",
+    "elements.js",
+    "object_tree.js",
     "panel.js",
     "viewer.js",
+    "served_map.js",
+    "start.js",
 )
 
 
 def write_page(path: Path, scene: ViewerScene) -> int:
-    """Write the offline page of a scene.
+    """Write the offline page of a scene, which needs no other file and no network.
 
     Returns:
         The size of the file in bytes.
@@ -39,28 +44,37 @@ def write_page(path: Path, scene: ViewerScene) -> int:
     Raises:
         RunFolderError: the file cannot be written.
     """
-    content = utf8(page(pack(scene)))
+    packed = pack(scene)
+    header = json.dumps(packed.header, ensure_ascii=False, separators=(",", ":"))
+    parts = {
+        "TITLE": escape(scene.title),
+        # "</script>" in a name must not end the element.
+        "SCENE": header.replace("<", "\\u003c"),
+        "DATA": base64.b64encode(bytes(packed.data)).decode(),
+    }
+    content = utf8(_page(parts))
     write_bytes(path, content)
     return len(content)
 
 
-def page(packed: PackedScene, connect: str = "") -> str:
-    """Return the page of a scene; a browser needs no other file.
+def served_page() -> bytes:
+    """Return the page that loads the scene from its server."""
+    parts = {"TITLE": "semsplat", "SCENE": "", "DATA": "", "CONNECT": "; connect-src 'self'"}
+    return utf8(_page(parts))
 
-    Args:
-        packed: the scene.
-        connect: sources that the page may load data from; by default it has no network.
-    """
-    # "</script>" in a name must not end the element.
-    header = json.dumps(packed.header, ensure_ascii=False, separators=(",", ":"))
+
+def _page(parts: dict[str, str]) -> str:
+    style = _source("style.css")
+    script = "\n".join(['"use strict";', *map(_source, SCRIPTS)])
     parts = {
-        "TITLE": escape(packed.header["title"]),
-        "CONNECT": f"; connect-src {connect}" if connect else "",
-        "STYLE": _source("style.css"),
-        "SCENE": header.replace("<", "\\u003c"),
-        "DATA": base64.b64encode(bytes(packed.data)).decode(),
+        "CONNECT": "",
+        "STYLE": style,
         "WORKER": _source("sort_worker.js"),
-        "SCRIPT": "\n".join(_source(name) for name in SCRIPTS),
+        "SCRIPT": script,
+        # Nothing else can run, whatever a name contains.
+        "STYLE_HASH": _hash(style),
+        "SCRIPT_HASH": _hash(script),
+        **parts,
     }
     text = _source("page.html")
     before, *rest = text.split("<!--@")
@@ -69,6 +83,11 @@ def page(packed: PackedScene, connect: str = "") -> str:
         name, _, after = piece.partition("-->")
         pieces += [parts[name], after]
     return "".join(pieces)
+
+
+def _hash(content: str) -> str:
+    """Return the source of a content security policy that allows an inline element."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(utf8(content)).digest()).decode()}'"
 
 
 def link_from_report(page_path: Path, report: Path) -> bool:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import logging
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from toolkit.errors import ToolkitError
 from toolkit.io.images import small_image
 from toolkit.runs.progress import MapPart, ProgressReader, RunProgress
 from toolkit.runs.snapshots import unwatch
@@ -13,7 +17,16 @@ from toolkit.viewer.keyframes import spread
 from toolkit.viewer.options import ShownContent
 from toolkit.viewer.reading import loops_between, read_scene, vertical
 from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene, path_states
+from toolkit.viewer.server import MapServer
 from toolkit.viewer.shown_objects import graph_objects
+from toolkit.viewer.streaming import ServedMap
+
+_log = logging.getLogger(__name__)
+
+_POLL_S = 1.0
+# Share of the time in which a run is read and shown, so that the run itself is not slowed down.
+_BUSY_SHARE = 0.3
+_FINISHED = "The run is finished."
 
 
 class LiveRun:
@@ -33,7 +46,7 @@ class LiveRun:
         self.finished = False
 
     def poll(self) -> ViewerScene | None:
-        """Return the scene if there is a new one since the last call.
+        """Return the scene if there is a new one since the last call; all of a finished run.
 
         Raises:
             ToolkitError: the folder was written by another version, or is damaged.
@@ -41,7 +54,7 @@ class LiveRun:
         if self.finished:
             return None
         if self._reader.finished:
-            scene = read_scene(self._path, self._content)
+            scene = read_scene(self._path, self._content, whole=True)
             self.finished = True
             unwatch(self._reader.folder)
             return scene
@@ -82,6 +95,49 @@ class LiveRun:
             if progress.graph is None
             else graph_objects(progress.graph, progress.voxels_m),
         )
+
+
+def follow(
+    run: LiveRun,
+    server: MapServer,
+    served: Callable[[ViewerScene], ServedMap],
+    wait: Callable[[float], object],
+) -> None:
+    """Serve a run in progress until it is finished.
+
+    Args:
+        run: the run.
+        server: shows each state in place of the one before.
+        served: prepares a state for the server.
+        wait: called with the seconds between two looks at the run.
+
+    Raises:
+        ToolkitError: the first state cannot be read. Later ones are only reported, because the run
+            may be stopped and started anew while it is followed.
+    """
+    logged = ""
+    while not run.finished:
+        begin_s = time.monotonic()
+        scene, news = None, ""
+        try:
+            scene = run.poll()
+        except ToolkitError as error:
+            if not server.state.version:
+                raise
+            news = f"The run cannot be read at the moment: {error}"
+        if scene is not None and len(scene.splats):
+            server.show(served(scene), _FINISHED if run.finished else "", run.finished)
+            news = f"Show {scene.title}: {scene}."
+        elif news or not server.state.version:
+            news = news or "Waiting for the first frames of the run."
+            server.report(news)
+        if news and news != logged:
+            _log.info(news)
+            logged = news
+        if not run.finished:
+            busy_s = time.monotonic() - begin_s
+            wait(max(_POLL_S, busy_s * (1.0 / _BUSY_SHARE - 1.0)))
+    _log.info(_FINISHED)
 
 
 def _splats(part: MapPart, progress: RunProgress) -> ShownSplats:

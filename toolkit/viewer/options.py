@@ -1,4 +1,4 @@
-"""Options of the viewers."""
+"""Options of the viewer."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.io.atomic import utf8
 from toolkit.viewer.scene import (
     INFERRED_RGB,
     MEASURED_RGB,
@@ -32,6 +33,8 @@ _POSITION_STEPS = 65535.0
 _VISIBLE_STEP = 0.5
 # Stored shapes are this fraction of the largest value of int16.
 _SHAPE_SCALE = 32767.0
+# The overview shows this share of the Gaussians along each axis, whatever lies far outside.
+_OVERVIEW_PERCENT = (1.0, 99.0)
 # Index of unknown nodes in the page.
 NO_NODE = 65535
 
@@ -59,23 +62,38 @@ class PackedScene:
         }
         self.data += array.tobytes()
 
+    def __bytes__(self) -> bytes:
+        """Length of the header (uint32), header (JSON) and arrays."""
+        header = utf8(json.dumps(self.header, ensure_ascii=False, separators=(",", ":")))
+        header += b" " * (-len(header) % 4)
+        return len(header).to_bytes(4, "little") + header + bytes(self.data)
+
 
 def pack(scene: ViewerScene) -> PackedScene:
     """Pack a scene for the page; it contains at least one Gaussian."""
     packed = PackedScene({"arrays": {}} | _header(scene))
+    packed.header["overview"] = overview(scene.splats.means_m)
     _pack_splats(packed, scene.splats)
     packed.add("path", scene.path[:, :3, 3].astype(np.float32))
     packed.add("pathColours", scene.path_colours)
+    voxels_m = [one.voxels_m for one in scene.objects if one.voxels_m is not None]
+    if voxels_m:
+        packed.add("voxels", np.concatenate(voxels_m).astype(np.float32))
     return packed
 
 
-def pack_chunk(splats: ShownSplats) -> bytes:
-    """Pack one or more Gaussians alone: length of the header (uint32), header (JSON) and arrays."""
+def pack_splats(splats: ShownSplats) -> PackedScene:
+    """Pack one or more Gaussians alone."""
     packed = PackedScene({"arrays": {}})
     _pack_splats(packed, splats)
-    header = json.dumps(packed.header, separators=(",", ":")).encode()
-    header += b" " * (-len(header) % 4)
-    return len(header).to_bytes(4, "little") + header + bytes(packed.data)
+    return packed
+
+
+def overview(means_m: NDArray[np.float32]) -> dict[str, list[float]]:
+    """Return the box of nearly all positions [N, 3] as JSON values, lowest corner and extent."""
+    some = means_m[:: max(len(means_m) // 100_000, 1)]
+    low_m, high_m = np.percentile(some, _OVERVIEW_PERCENT, axis=0)
+    return {"low": low_m.tolist(), "extent": np.maximum(high_m - low_m, 1e-6).tolist()}
 
 
 def _header(scene: ViewerScene) -> dict[str, Any]:
@@ -103,12 +121,14 @@ def _header(scene: ViewerScene) -> dict[str, Any]:
         ],
         "objects": [
             {
+                "number": one.number,
                 "name": one.name,
                 "room": one.room,
                 "corners": one.corners_m.round(4).ravel().tolist(),
                 "relations": list(one.relations),
                 "storey": one.storey,
                 "path": list(one.path),
+                "voxels": None if one.voxels_m is None else len(one.voxels_m),
             }
             for one in scene.objects
         ],

@@ -1,4 +1,4 @@
-"""Describe finished runs and splat files for the viewers."""
+"""Describe finished runs and splat files for the viewer."""
 
 from __future__ import annotations
 

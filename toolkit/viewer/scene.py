@@ -1,4 +1,4 @@
-"""Description of what the viewers show of a map; the offline page and the server share it."""
+"""Description of what the viewer shows of a map; the offline page and the server share it."""
 
 from __future__ import annotations
 
@@ -90,11 +90,6 @@ class ShownSplats:
         thinning = thin(self.means_m, visible, count)
         kept = self.select(thinning.index)
         return replace(kept, sigmas_m=kept.sigmas_m * thinning.growth)
-
-    @property
-    def submap_numbers(self) -> list[int]:
-        """Numbers of the submaps, ascending; empty if they are unknown."""
-        return [] if self.submap is None else [int(n) for n in np.unique(self.submap)]
 
 
 @dataclass(frozen=True)
@@ -214,16 +209,6 @@ class ShownObject:
     path: tuple[str, ...] = ()
     voxels_m: NDArray[np.float64] | None = None
 
-    @property
-    def edges_m(self) -> NDArray[np.float64]:
-        """The three edges [3, 3] of its box from the first corner, as rows."""
-        return self.corners_m[[1, 2, 4]] - self.corners_m[0]
-
-    @property
-    def size_m(self) -> NDArray[np.float64]:
-        """Lengths [3] of these edges."""
-        return np.linalg.norm(self.edges_m, axis=1)
-
 
 @dataclass(frozen=True)
 class ViewerScene:
@@ -273,13 +258,6 @@ class ViewerScene:
     def thinned(self, count: int) -> ViewerScene:
         """Return the scene with at most `count` Gaussians, the most visible first."""
         return replace(self, splats=self.splats.thinned(count, self.path[:, :3, 3]))
-
-    def class_path(self, splat: int) -> tuple[str, ...]:
-        """Return the names from the root to the most specific known node of a Gaussian."""
-        if self.tree is None or self.splats.levels is None:
-            return ()
-        known = [int(i) for i in self.splats.levels[splat] if i >= 0]
-        return self.tree.nodes[known[-1]].path if known else ()
 
 
 def path_states(

@@ -1,135 +1,192 @@
-"""`semsplat view`: a local server that shows a map in the browser, with viser."""
+"""The local server of `semsplat view`: the page, and the map that it shows."""
 
 from __future__ import annotations
 
-import contextlib
-import errno
-import io
-import logging
+import json
+import re
 import socket
+import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, replace
+from ipaddress import ip_address
 
-from toolkit.errors import DependencyError, SettingsError, ToolkitError
-from toolkit.viewer.live import LiveRun
-from toolkit.viewer.scene import ViewerScene
-from toolkit.viewer.server_controls import Controls
-from toolkit.viewer.server_scene import ServerScene
+from toolkit.io.addresses import is_local, url_of
+from toolkit.viewer.connections import BoundedServer, RequestHandler
+from toolkit.viewer.html import served_page
+from toolkit.viewer.streaming import ServedMap
 
-_log = logging.getLogger(__name__)
+# Time in which the server notices that it is stopped.
+_STOP_S = 0.1
+_CHUNK = re.compile(r"/chunks/(\d{1,15})/(\d{1,9})")
+_HTML, _JSON, _BYTES, _TEXT = (
+    "text/html; charset=utf-8",
+    "application/json",
+    "application/octet-stream",
+    "text/plain; charset=utf-8",
+)
+# No other page may embed, read or control what is sent. The page has a policy of its own for its
+# content.
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+}
+_PAGE_POLICY, _DATA_POLICY = "frame-ancestors 'none'", "default-src 'none'; frame-ancestors 'none'"
 
-_POLL_S = 1.0
-# Share of the time in which a run is read and shown, so that the run itself is not slowed down.
-_BUSY_SHARE = 0.3
 
+@dataclass(frozen=True)
+class ServedState:
+    """What is served at a time.
 
-def start_viser(host: str, port: int) -> Any:
-    """Start a viser server.
-
-    Args:
-        host: address to listen on.
-        port: port to listen on; 0 takes any free port.
-
-    Raises:
-        DependencyError: viser is missing.
-        SettingsError: the address or the port cannot be used.
+    Attributes:
+        version: of the map, which grows; 0 while there is none.
+        scene: the map as the page loads it.
+        chunk: returns a part of a streamed map by its number.
+        finished: whether there will be no other state.
+        message: a line for the page.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise DependencyError(
-            f"semsplat view needs viser ({error}); run: pip install 'semsplat[viewer]'"
-        ) from error
-    # viser would silently take the next free port.
-    port = free_port(host, port)
-    # viser prints its address on stdout even if it is not verbose.
-    with contextlib.redirect_stdout(io.StringIO()):
-        return viser.ViserServer(host=host, port=port, label="semsplat", verbose=False)
 
+    version: int = 0
+    scene: bytes | None = None
+    chunk: Callable[[int], bytes | None] = lambda _number: None
+    finished: bool = False
+    message: str = ""
 
-def free_port(host: str, port: int) -> int:
-    """Return a port, or a free one for 0.
-
-    Raises:
-        SettingsError: the address or the port cannot be used.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        with socket.socket(family, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((host, port))
-            return int(probe.getsockname()[1])
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise SettingsError(
-                f"port {port} of {host} is in use; choose another one with --port, or --port 0 for "
-                "any free port"
-            ) from error
-        raise SettingsError(
-            f"cannot listen on {host} port {port} ({error.strerror or error}); check --host and "
-            "--port"
-        ) from error
-
-
-def stop_viser(server: Any) -> None:
-    """Stop a viser server."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        server.stop()
+    @property
+    def described(self) -> bytes:
+        values = {"version": self.version, "finished": self.finished, "message": self.message}
+        return json.dumps(values).encode()
 
 
 class MapServer:
-    """Shows a scene to all browsers that connect.
+    """Serves a map, which may be replaced, to browsers from threads of its own.
+
+    The page at `/` contains the program. It asks for `state`, and loads `scene` when its version
+    is new, and `chunks/VERSION/NUMBER` of streamed maps.
 
     Args:
-        server: a viser server.
-        highlight: names of classes and groups that are highlighted at the start.
+        bound: a listening socket; the server closes it.
+        host: the address as the user has named it.
+
+    Attributes:
+        url: the address of the page.
+        page: the page.
+        state: what is served.
+        is_own: tells whether a name in a URL is that of this server.
     """
 
-    def __init__(self, server: Any, highlight: str = "") -> None:
-        self._server = server
-        self._highlight = highlight
-        self._view: ServerScene | None = None
-        self._controls: Controls | None = None
+    def __init__(self, bound: socket.socket, host: str = "localhost") -> None:
+        self.url = url_of(bound).rstrip("/")
+        self.page = served_page()
+        self.state = ServedState()
+        self.is_own = own_names(bound, host)
 
-    def show(self, scene: ViewerScene) -> None:
-        """Show a scene in place of the one before; the views of the browsers stay."""
-        if self._view is None or self._controls is None:
-            self._view = ServerScene(self._server, scene)
-            self._controls = Controls(self._server, self._view, self._highlight)
-        else:
-            self._view.replace(scene)
-            self._controls.replaced()
+        class Handler(_Handler):
+            served = self
 
-    def follow(self, run: LiveRun, wait: Callable[[float], object]) -> None:
-        """Show a run in progress until it is finished.
+        self._server = BoundedServer(bound, Handler)
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(_STOP_S,), daemon=True
+        )
+        self._thread.start()
+
+    def show(self, shown: ServedMap, message: str = "", finished: bool = False) -> None:
+        """Serve a map in place of the one before.
 
         Args:
-            run: the run.
-            wait: called with the seconds between two looks at the run.
-
-        Raises:
-            ToolkitError: the first state cannot be read. Later ones are only reported, because the
-                run may be stopped and started anew while it is followed.
+            shown: the map.
+            message: a line for the page.
+            finished: whether it is the last one.
         """
-        message = ""
-        while not run.finished:
-            begin_s = time.monotonic()
-            try:
-                scene, news = run.poll(), ""
-            except ToolkitError as error:
-                if self._view is None:
-                    raise
-                scene, news = None, f"The run cannot be read at the moment: {error}"
-            if scene is not None and len(scene.splats):
-                self.show(scene)
-                news = f"Show {scene.title}: {scene}."
-            elif self._view is None:
-                news = "Waiting for the first frames of the run."
-            if news and news != message:
-                _log.info(news)
-                message = news
-            if not run.finished:
-                busy_s = time.monotonic() - begin_s
-                wait(max(_POLL_S, busy_s * (1.0 / _BUSY_SHARE - 1.0)))
-        _log.info("The run is finished.")
+        # Pages may know versions of another process that was listening here before.
+        version = max(self.state.version + 1, int(1000.0 * time.time()))
+        packed = shown.packed()
+        packed.header["version"] = version
+        self.state = ServedState(version, bytes(packed), shown.chunk, finished, message)
+
+    def report(self, message: str) -> None:
+        """Show a line in the page beside the map."""
+        self.state = replace(self.state, message=message)
+
+    def stop(self) -> None:
+        """Stop listening."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def own_names(bound: socket.socket, host: str) -> Callable[[str], bool]:
+    """Return a function that tells whether a name in a URL can only be that of this server.
+
+    Pages of other hosts must not read a map through a name that they resolve to this machine (DNS
+    rebinding). Numeric addresses are not resolved.
+    """
+    if is_local(bound.getsockname()[0]):
+        return is_local
+    own = socket.gethostname().lower()
+    first = own.partition(".")[0]
+    names = {"localhost", host.lower(), own, first, f"{first}.local"} - {""}
+
+    def is_own(name: str) -> bool:
+        try:
+            ip_address(name)
+        except ValueError:
+            return name in names
+        return True
+
+    return is_own
+
+
+class _Handler(RequestHandler):
+    served: MapServer
+
+    def do_GET(self) -> None:
+        path, state = self.path.partition("?")[0], self.served.state
+        chunk = _CHUNK.fullmatch(path)
+        refusal = self._refusal(path)
+        if refusal:
+            self._send(403, _TEXT, f"{refusal}\n".encode())
+        elif path == "/":
+            self._send(200, _HTML, self.served.page)
+        elif path == "/state":
+            self._send(200, _JSON, state.described)
+        elif path == "/scene" and state.scene is not None:
+            self._send(200, _BYTES, state.scene)
+        elif (
+            chunk
+            and int(chunk[1]) == state.version
+            and (content := state.chunk(int(chunk[2]))) is not None
+        ):
+            self._send(200, _BYTES, content)
+        else:
+            self._send(404, _TEXT, b"not found\n")
+
+    def _refusal(self, path: str) -> str:
+        """Why a request is refused, which may come from another page; empty if it is not."""
+        hosts = self.headers.get_all("Host", [])
+        host = hosts[0].strip().lower() if len(hosts) == 1 else ""
+        name = re.sub(r":\d*$", "", host)
+        if not self.served.is_own(name.strip("[]")):
+            return (
+                "this address is not that of the map; open the one that semsplat view prints, or "
+                "name this one with --host"
+            )
+        site = self.headers.get("Sec-Fetch-Site", "none")
+        # A link to the page itself is harmless: it has no data, and no other page can read it.
+        is_link = path == "/" and (
+            self.headers.get("Sec-Fetch-Mode"),
+            self.headers.get("Sec-Fetch-Dest"),
+        ) == ("navigate", "document")
+        origins = self.headers.get_all("Origin", [])
+        if any(origin.strip().lower() != f"http://{host}" for origin in origins) or (
+            site not in ("same-origin", "none") and not is_link
+        ):
+            return "the map is not for other pages; open this address itself"
+        return ""
+
+    def _send(self, status: int, kind: str, content: bytes) -> None:
+        policy = _PAGE_POLICY if kind == _HTML else _DATA_POLICY
+        self.answer(status, kind, content, {**_HEADERS, "Content-Security-Policy": policy})

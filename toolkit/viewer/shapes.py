@@ -1,4 +1,4 @@
-"""Shapes and view-dependent colours as the viewers store them."""
+"""Shapes and view-dependent colours as the viewer stores them."""
 
 from __future__ import annotations
 

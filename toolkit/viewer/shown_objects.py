@@ -1,4 +1,4 @@
-"""The objects of a scene graph as the viewers show them."""
+"""The objects of a scene graph as the viewer shows them."""
 
 from __future__ import annotations
 

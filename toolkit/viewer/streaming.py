@@ -1,27 +1,56 @@
-"""Maps that are too large for one page: levels of detail, of which the page loads what it shows."""
+"""Maps as the server sends them: whole, or in levels of detail of which the page loads a part."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.io.atomic import utf8
 from toolkit.viewer.detail_tree import NODE_SIZE, ROOT_SIZE, DetailTree
-from toolkit.viewer.html import page
-from toolkit.viewer.packing import NO_NODE, pack, pack_chunk
+from toolkit.viewer.packing import NO_NODE, PackedScene, overview, pack, pack_splats
 from toolkit.viewer.scene import ShownSplats, ViewerScene
 
-# The overview shows this share of the Gaussians along each axis, whatever lies far outside.
-_OVERVIEW_PERCENT = (1.0, 99.0)
+
+class ServedMap(Protocol):
+    """A map as the server sends it."""
+
+    def packed(self) -> PackedScene:
+        """Return what the page loads first."""
+        ...
+
+    def chunk(self, number: int) -> bytes | None:
+        """Return a part that the page loads later; None if there is no such part."""
+        ...
+
+
+@dataclass(frozen=True)
+class WholeMap:
+    """A map that is sent at once.
+
+    Attributes:
+        scene: the scene, with one Gaussian or more.
+        highlight: names of classes and groups that are highlighted at the start.
+    """
+
+    scene: ViewerScene
+    highlight: str = ""
+
+    def packed(self) -> PackedScene:
+        """Return the scene."""
+        packed = pack(self.scene)
+        packed.header["highlight"] = self.highlight
+        return packed
+
+    def chunk(self, number: int) -> bytes | None:
+        """There are no other parts."""
+        return None
 
 
 @dataclass(frozen=True)
 class StreamedMap:
-    """A page with the coarsest level of a map, and chunks with the others.
+    """The coarsest level of a map, and chunks with the others.
 
     Attributes:
         scene: the scene, with all Gaussians in the order of the tree.
@@ -53,11 +82,10 @@ class StreamedMap:
         """Return the packed Gaussians of a node, None if there is no such node."""
         if not 0 <= number < len(self.tree.nodes):
             return None
-        return pack_chunk(self.tree.content(number))
+        return bytes(pack_splats(self.tree.content(number)))
 
-    @cached_property
-    def page(self) -> bytes:
-        """The page, which loads `chunks/NUMBER`."""
+    def packed(self) -> PackedScene:
+        """Return the scene with the Gaussians of the root, and the boxes of all nodes."""
         nodes = self.tree.nodes
         packed = pack(replace(self.scene, splats=self.tree.content(0)))
         packed.add("nodeBoxes", np.stack([node.box_m.ravel() for node in nodes]))
@@ -68,17 +96,11 @@ class StreamedMap:
         packed.add("nodeChildren", np.array(children, np.int32))
         packed.header |= {
             "stream": {"budget": max(self.budget, self.tree.count(0))},
-            "overview": _overview(self.scene.splats.means_m),
+            "overview": overview(self.scene.splats.means_m),
             "tallies": tallies(self.scene.splats),
             "highlight": self.highlight,
         }
-        return utf8(page(packed, "'self'"))
-
-
-def _overview(means_m: NDArray[np.float32]) -> dict[str, list[float]]:
-    some = means_m[:: max(len(means_m) // 100_000, 1)]
-    low_m, high_m = np.percentile(some, _OVERVIEW_PERCENT, axis=0)
-    return {"low": low_m.tolist(), "extent": np.maximum(high_m - low_m, 1e-6).tolist()}
+        return packed
 
 
 def tallies(splats: ShownSplats) -> dict[str, list[Any]]:

@@ -25,6 +25,25 @@ class Colouring {
     this.highlighted = null; // { matches(i), keys }
   }
 
+  /** Keep what is chosen in another state of the scene, as far as that has it. */
+  adopt(scene) {
+    const before = this.scene;
+    this.scene = scene;
+    if (before.levels.length !== scene.levels.length) this.level = Math.max(scene.levels.length - 1, 0);
+    const known = colourModes(scene).some(([mode]) => mode === this.mode);
+    if (!known) this.mode = "colour";
+    const keys = known && this.highlighted ? [...this.highlighted.keys] : [];
+    this.highlightKeys(new Set(this.mode === "classes" ? this.renumbered(before.tree, keys) : keys));
+  }
+
+  /** The nodes of another tree in the tree of the scene. */
+  renumbered(tree, nodes) {
+    const nameOf = ({ path }) => JSON.stringify(path);
+    const numbers = new Map(this.scene.tree.nodes.map((node, number) => [nameOf(node), number]));
+    const all = nodes.map((node) => (node === NO_NODE ? node : numbers.get(nameOf(tree.nodes[node]))));
+    return all.filter((node) => node !== undefined);
+  }
+
   /** Value of a Gaussian in the legend: node, submap, or source; null in other modes. */
   keyOf(i) {
     const { scene } = this;
@@ -117,9 +136,11 @@ class Colouring {
   /** Highlight the classes and groups whose name contains a text; returns their nodes. */
   highlightText(text) {
     const nodes = matchingNodes(this.scene.tree, text);
+    this.highlighted = null;
+    if (!nodes.length) return nodes;
     const byLevel = this.scene.levels.map((_, level) =>
       new Set(nodes.filter((node) => this.scene.tree.nodes[node].level === level)));
-    this.highlighted = text.trim() ? {
+    this.highlighted = {
       keys: new Set(byLevel[this.level]),
       matches: (i) => byLevel.some((set, level) => set.has(this.scene.levels[level][i])),
       matchesNodes: (path) => byLevel.some((set, level) => set.has(path[level])),
@@ -127,7 +148,7 @@ class Colouring {
         const level = byLevel.findIndex((set, l) => set.has(this.scene.levels[l][i]));
         return this.scene.tree.nodes[this.scene.levels[level][i]].rgb;
       },
-    } : null;
+    };
     return nodes;
   }
 

@@ -16,9 +16,9 @@ const RETRY_MS = 1000;
 const blocksFor = (count) => Math.ceil(count / BLOCK);
 
 class DetailStream {
-  /** `changed()` is called when more can be shown. */
-  constructor(scene, changed) {
-    Object.assign(this, { scene, changed });
+  /** `changed()` is called when more can be shown, `outdated()` if the server has another map. */
+  constructor(scene, changed, outdated) {
+    Object.assign(this, { scene, changed, outdated });
     const { nodeBoxes, nodeCells, nodeCounts, nodeChildren } = scene.nodes;
     Object.assign(this, { nodeBoxes, nodeCells, nodeCounts, nodeChildren });
     this.resident = new Map(); // node -> its blocks and when it was needed last
@@ -167,11 +167,12 @@ class DetailStream {
 
   async request(node) {
     try {
-      const answer = await fetch(`chunks/${node}`);
+      const answer = await fetch(`chunks/${this.scene.version}/${node}`);
+      if (answer.status === 404) this.outdated();
       if (!answer.ok) throw new Error(`status ${answer.status}`);
       const buffer = await answer.arrayBuffer();
       this.loadedBytes += buffer.byteLength;
-      if (this.needed.has(node) && this.makeSpace(this.nodeCounts[node])) {
+      if (!this.ended && this.needed.has(node) && this.makeSpace(this.nodeCounts[node])) {
         this.store(node, readChunk(buffer));
       }
     } catch {
@@ -179,9 +180,13 @@ class DetailStream {
       await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
     }
     this.requested.delete(node);
+    if (this.ended) return;
     this.load();
     this.changed();
   }
+
+  /** Another map is shown. */
+  end() { this.ended = true; }
 
   /** Free enough places; false if all are in use. */
   makeSpace(count) {

@@ -155,8 +155,11 @@ void main() {
   result = vec4(colour.rgb * alpha, alpha);
 }`;
 
-/** Compile and link a program; throws an Error with the compiler's log. */
+const programs = new Map(); // by the source of the vertex shader
+
+/** Compile and link a program, once; throws an Error with the compiler's log. */
 function buildProgram(gl, vertex, fragment) {
+  if (programs.has(vertex)) return programs.get(vertex);
   const program = gl.createProgram();
   for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
     const shader = gl.createShader(kind);
@@ -172,7 +175,8 @@ function buildProgram(gl, vertex, fragment) {
     const { name } = gl.getActiveUniform(program, i);
     uniforms[name] = gl.getUniformLocation(program, name);
   }
-  return { program, uniforms };
+  programs.set(vertex, { program, uniforms });
+  return programs.get(vertex);
 }
 
 /** Set the uniforms that splats and lines share. */

@@ -8,36 +8,42 @@ const LINE_PIXELS = { path: 2.2, keyframes: 1.1, loops: 2.6, object: 3 };
 const BOX_EDGES = [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]];
 
 class LineRenderer {
-  constructor(gl, scene) {
+  constructor(gl) {
     this.gl = gl;
     Object.assign(this, buildProgram(gl, LINE_VERTEX, LINE_FRAGMENT));
     this.shown = { path: true, keyframes: true, loops: true, object: true };
-    this.groups = {
-      path: this.group(pathSegments(scene)),
-      loops: this.group(loopSegments(scene.loops)),
-    };
-    this.scene = scene;
-    this.choose(null);
+    this.groups = {};
   }
 
-  /** Highlight the frustum of a keyframe. */
-  choose(chosen) {
-    this.groups.keyframes = this.group(frustumSegments(this.scene, chosen));
+  /** Show the lines of a scene, with the frustum of one keyframe (or null) highlighted. */
+  show(scene, keyframe) {
+    this.scene = scene;
+    this.setGroup("path", pathSegments(scene));
+    this.setGroup("loops", loopSegments(scene.loops));
+    this.choose(keyframe);
   }
+
+  /** Highlight the frustum of a keyframe; none for null. */
+  choose(keyframe) { this.setGroup("keyframes", frustumSegments(this.scene, keyframe)); }
 
   /** Draw the box of an object of the scene graph; none for null. */
-  chooseObject(chosen) {
-    const corners = chosen === null ? null : this.scene.objects[chosen].corners;
-    const corner = (i) => corners.slice(3 * i, 3 * i + 3);
-    this.groups.object = this.group(
-      corners ? BOX_EDGES.map(([a, b]) => [...corner(a), ...corner(b), ...CHOSEN_RGB, 1]) : []);
+  chooseObject(object) {
+    const corner = (i) => object.corners.slice(3 * i, 3 * i + 3);
+    this.setGroup("object",
+      object ? BOX_EDGES.map(([a, b]) => [...corner(a), ...corner(b), ...CHOSEN_RGB, 1]) : []);
   }
 
   /** Upload segments: 10 numbers each, both ends and the colour. */
-  group(segments) {
+  setGroup(name, segments) {
     const { gl } = this;
-    const array = quadArray(gl);
-    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    const before = this.groups[name];
+    if (before) {
+      gl.deleteVertexArray(before.array);
+      for (const buffer of before.buffers) gl.deleteBuffer(buffer);
+    }
+    const { array, corners } = quadArray(gl);
+    const ends = gl.createBuffer();
+    gl.bindBuffer(gl.ARRAY_BUFFER, ends);
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(segments.flat()), gl.STATIC_DRAW);
     [[1, 3, 0], [2, 3, 12], [3, 4, 24]].forEach(([location, size, offset]) => {
       gl.enableVertexAttribArray(location);
@@ -45,7 +51,7 @@ class LineRenderer {
       gl.vertexAttribDivisor(location, 1);
     });
     gl.bindVertexArray(null);
-    return { array, count: segments.length };
+    this.groups[name] = { array, buffers: [corners, ends], count: segments.length };
   }
 
   draw(camera, pixelRatio) {
@@ -85,9 +91,9 @@ function frustumSegments(scene, chosen) {
   const { camera, keyframes } = scene;
   if (!camera) return [];
   const segments = [];
-  keyframes.forEach((keyframe, number) => {
-    const depth = frustumDepth(scene) * (number === chosen ? 1.6 : 1);
-    const rgb = number === chosen ? CHOSEN_RGB : FRUSTUM_RGB;
+  keyframes.forEach((keyframe) => {
+    const depth = frustumDepth(scene) * (keyframe === chosen ? 1.6 : 1);
+    const rgb = keyframe === chosen ? CHOSEN_RGB : FRUSTUM_RGB;
     const corners = [[-0.5, -0.5], [1, 0], [1, 1], [0, 1]].map(([u, v], i) => {
       const x = i === 1 || i === 2 ? camera.width - 0.5 : -0.5;
       const y = i >= 2 ? camera.height - 0.5 : -0.5;

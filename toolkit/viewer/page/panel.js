@@ -6,121 +6,71 @@ const HELP = {
   fly: "Drag to look around; W A S D to move, Q and E down and up. Click a Gaussian or a keyframe.",
 };
 
-const byId = (id) => document.getElementById(id);
-
 class Panel {
   /** `actions` are called when a control changes. */
-  constructor(scene, colouring, actions) {
-    Object.assign(this, { scene, colouring, actions });
-    byId("title").textContent = scene.title;
-    byId("counts").textContent = countsText(scene);
-    this.buildNotes();
-    this.buildModes();
-    this.buildLevels();
-    this.buildSearch();
-    this.buildGraph();
+  constructor(colouring, actions) {
+    Object.assign(this, { colouring, actions });
+    byId("panel").hidden = false;
+    this.modes = new KeyedElements((mode) => {
+      const button = element("button", { type: "button", role: "radio" });
+      button.onclick = () => this.setMode(mode);
+      return button;
+    });
+    this.rows = new KeyedElements((key) => this.legendRow(key));
+    this.objects = new ObjectTree(byId("graph"), actions.object, actions.lookAt);
+    byId("level-slider").oninput = () => this.setLevel(Number(byId("level-slider").value));
+    byId("query").oninput = () => this.search(byId("query").value);
     this.buildLayers();
     this.buildButtons();
-    if (scene.highlight) byId("query").value = scene.highlight;
-    if (scene.highlight) this.search(scene.highlight);
+  }
+
+  /** Show a scene, the first one or another state of it. What was chosen stays. */
+  show(scene) {
+    if (!this.scene && scene.highlight) byId("query").value = scene.highlight;
+    this.scene = scene;
+    document.title = scene.title;
+    byId("title").textContent = scene.title;
+    byId("counts").textContent = countsText(scene);
+    byId("reliability").hidden = !scene.notes.length;
+    byId("notes").replaceChildren(...scene.notes.map((textContent) => element("li", { textContent })));
+    this.showModes();
+    byId("level").hidden = byId("class-search").hidden = !scene.levels.length;
+    byId("level-slider").max = Math.max(scene.levels.length - 1, 0);
+    byId("level-slider").value = this.colouring.level;
+    this.objects.show(scene.objects, scene.length);
+    this.showLayers();
+    if (byId("query").value) this.search(byId("query").value);
     else this.refresh();
   }
 
-  buildNotes() {
-    const { notes } = this.scene;
-    byId("reliability").hidden = !notes.length;
-    byId("notes").append(...notes.map((textContent) => element("li", { textContent })));
-  }
-
-  buildModes() {
-    this.modes = new Map();
+  showModes() {
     const modes = colourModes(this.scene);
-    byId("modes").hidden = modes.length < 2;
-    for (const [mode, name] of modes) {
-      const button = element("button", { type: "button", role: "radio", textContent: name });
-      button.onclick = () => this.setMode(mode);
-      byId("modes").append(button);
-      this.modes.set(mode, button);
-    }
-  }
-
-  buildLevels() {
-    const slider = byId("level-slider");
-    byId("level").hidden = !this.scene.levels.length;
-    slider.max = Math.max(this.scene.levels.length - 1, 0);
-    slider.value = this.colouring.level;
-    slider.oninput = () => this.setLevel(Number(slider.value));
-  }
-
-  buildSearch() {
-    byId("class-search").hidden = !this.scene.levels.length;
-    byId("query").oninput = () => this.search(byId("query").value);
-  }
-
-  /** The scene graph as a tree: storeys if there are several, rooms, and the objects in them. */
-  buildGraph() {
-    const objects = this.scene.objects ?? [];
-    byId("graph").hidden = !objects.length;
-    this.entries = [];
-    const all = objects.map((_, number) => number);
-    for (const [storey, numbers] of grouped(all, (number) => objects[number].storey ?? "")) {
-      const top = storey ? branch(storey, numbers, true) : byId("graph");
-      const rooms = grouped(numbers, (number) => objects[number].room);
-      for (const [room, inside] of rooms) {
-        const entry = branch(room || "no room", inside, rooms.size === 1);
-        for (const number of inside) entry.append(...this.objectEntry(number));
-        top.append(entry);
-      }
-      if (storey) byId("graph").append(top);
-    }
-  }
-
-  /** An entry of the tree, and its size and relations, which are shown while it is chosen. */
-  objectEntry(number) {
-    const { name, corners, relations } = this.scene.objects[number];
-    const button = element("button", { type: "button", textContent: name, title: name });
-    button.setAttribute("aria-pressed", false);
-    const list = element("ul", { className: "soft", hidden: true });
-    const lines = [`${sizeText(corners)} ${this.scene.length}`, ...relations];
-    list.append(...lines.map((textContent) => element("li", { textContent })));
-    button.onclick = () => {
-      this.chooseObject(this.chosenObject === number ? null : number);
-      if (this.chosenObject === number) this.actions.lookAt(number);
-    };
-    this.entries[number] = { button, list };
-    return [button, list];
-  }
-
-  /** Show the entry of an object and mark the object; null for none. */
-  chooseObject(number) {
-    this.chosenObject = number;
-    this.entries.forEach(({ button, list }, other) => {
-      button.setAttribute("aria-pressed", other === number);
-      list.hidden = other !== number;
-    });
-    if (number !== null) {
-      const { button, list } = this.entries[number];
-      for (let room = button.closest("details"); room; room = room.parentElement.closest("details")) {
-        room.open = true;
-      }
-      list.scrollIntoView({ block: "nearest" });
-    }
-    this.actions.object(number);
+    byId("colours").hidden = modes.length < 2;
+    this.modes.keep(modes.map(([mode]) => mode));
+    arrange(byId("modes"), modes.map(([mode, name]) => {
+      setText(this.modes.get(mode), name);
+      return this.modes.get(mode);
+    }));
   }
 
   buildLayers() {
-    const present = {
-      path: this.scene.path.length > 3, keyframes: this.scene.keyframes.length,
-      loops: this.scene.loops.length,
-    };
-    const shown = LAYERS.filter(([layer]) => present[layer]);
-    byId("layers").hidden = !shown.length;
-    for (const [layer, name] of shown) {
+    this.layers = LAYERS.map(([layer, name]) => {
       const box = element("input", { type: "checkbox", checked: true, id: `layer-${layer}` });
       box.onchange = () => this.actions.layer(layer, box.checked);
-      const label = element("label");
-      label.append(box, layer === "loops" ? `${present.loops} loops` : name);
+      const label = element("label"), text = element("span", { textContent: name });
+      label.append(box, text);
       byId("layers").append(label);
+      return { layer, label, text };
+    });
+  }
+
+  showLayers() {
+    const { path, keyframes, loops } = this.scene;
+    const present = { path: path.length > 3, keyframes: keyframes.length, loops: loops.length };
+    byId("layers").hidden = !Object.values(present).some(Boolean);
+    for (const { layer, label, text } of this.layers) {
+      label.hidden = !present[layer];
+      if (layer === "loops") setText(text, `${loops.length} loops`);
     }
   }
 
@@ -171,7 +121,6 @@ class Panel {
     const nodes = this.colouring.highlightText(text);
     if (text.trim() && this.colouring.mode === "colour") this.colouring.mode = "classes";
     byId("query-result").textContent = this.searchText(text, nodes);
-    if (!nodes.length) this.colouring.highlightKeys(new Set());
     this.refresh();
   }
 
@@ -192,7 +141,7 @@ class Panel {
   /** Show the state of the colouring. */
   refresh() {
     const { mode, level } = this.colouring;
-    for (const [name, button] of this.modes) button.setAttribute("aria-checked", name === mode);
+    for (const [name, button] of this.modes.elements) button.setAttribute("aria-checked", name === mode);
     if (this.scene.levels.length) {
       byId("level-name").textContent =
         `${level + 1} of ${this.scene.levels.length}: ${this.scene.tree.levels[level]}`;
@@ -204,17 +153,23 @@ class Panel {
   showLegend() {
     const entries = this.colouring.legend();
     byId("legend-section").hidden = !entries.length;
-    const keys = this.colouring.highlighted?.keys ?? new Set();
-    byId("legend").replaceChildren(...entries.map((entry) => this.legendRow(entry, keys)));
+    const chosen = this.colouring.highlighted?.keys ?? new Set();
+    this.rows.keep(entries.map(({ key }) => key));
+    arrange(byId("legend"), entries.map(({ key, name, rgb, fraction }) => {
+      const row = this.rows.get(key);
+      const [button] = row.children, [swatch, label, share] = button.children;
+      button.title = name;
+      button.setAttribute("aria-pressed", chosen.has(key));
+      swatch.style.background = `rgb(${rgb.join(",")})`;
+      setText(label, name);
+      setText(share, fraction < 0.001 ? "< 0.1 %" : `${(100 * fraction).toFixed(1)} %`);
+      return row;
+    }));
   }
 
-  legendRow({ key, name, rgb, fraction }, keys) {
-    const button = element("button", { type: "button", title: name });
-    button.setAttribute("aria-pressed", keys.has(key));
-    const swatch = element("i");
-    swatch.style.background = `rgb(${rgb.join(",")})`;
-    const percent = fraction < 0.001 ? "< 0.1 %" : `${(100 * fraction).toFixed(1)} %`;
-    button.append(swatch, element("span", { textContent: name }), element("small", { textContent: percent }));
+  legendRow(key) {
+    const button = element("button", { type: "button" });
+    button.append(element("i"), element("span"), element("small"));
     button.onclick = () => this.toggle(key);
     const row = element("li");
     row.append(button);
@@ -253,7 +208,7 @@ class Panel {
     if (!keyframe) return;
     const row = element("div", { className: "row" });
     const view = element("button", { type: "button", textContent: "View from here" });
-    view.onclick = () => this.actions.viewFrom(keyframe);
+    view.onclick = () => this.actions.viewFrom();
     row.append(element("span", { textContent: `Keyframe ${keyframe.index}` }), view);
     const image = keyframe.image
       ? element("img", { src: keyframe.image, alt: `image of keyframe ${keyframe.index}` })
@@ -269,37 +224,4 @@ function countsText({ count, total, stream }) {
   const number = (value) => value.toLocaleString("en");
   if (stream) return `${number(total)} Gaussians, at most ${number(stream.budget)} at once`;
   return count < total ? `${number(count)} of ${number(total)} Gaussians` : `${number(count)} Gaussians`;
-}
-
-/** The values with the same key, in their order. */
-function grouped(values, keyOf) {
-  const groups = new Map();
-  for (const value of values) {
-    const key = keyOf(value);
-    if (!groups.has(key)) groups.set(key, []);
-    groups.get(key).push(value);
-  }
-  return groups;
-}
-
-/** A branch of the tree of objects, with their number. */
-function branch(name, objects, open) {
-  const details = element("details", { open });
-  details.append(element("summary", { textContent: `${name} (${objects.length})` }));
-  return details;
-}
-
-/** The lengths of the edges of a box. */
-function sizeText(corners) {
-  const corner = (number) => corners.slice(3 * number, 3 * number + 3);
-  return [1, 2, 4].map((number) => norm(sub(corner(number), corner(0))).toFixed(2)).join(" x ");
-}
-
-function element(name, properties = {}) {
-  const created = document.createElement(name);
-  for (const [key, value] of Object.entries(properties)) {
-    if (key === "role") created.setAttribute(key, value);
-    else created[key] = value;
-  }
-  return created;
 }

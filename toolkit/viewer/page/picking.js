@@ -1,7 +1,8 @@
 // What lies under a pixel.
 
 const FRUSTUM_PICK_PIXELS = 14;
-// A Gaussian belongs to an object at most this far from its box, in metres.
+// A Gaussian belongs to an object at most this far from its voxels, which are 5 cm large, or from its
+// box if they are unknown; in metres.
 const OBJECT_REACH_M = 0.1;
 
 /**
@@ -36,19 +37,30 @@ function pickSplat(scene, camera, x, y) {
 }
 
 /**
- * The number of the object of a Gaussian, or null: of those of its class or group, the one with the
- * nearest box, and of several boxes around it the smallest one.
+ * The object of a Gaussian, or null: of those of its class or group, the one with the nearest voxel.
+ * Where voxels are unknown, it is the one with the nearest box, and of several boxes around the
+ * Gaussian the smallest one.
  */
 function objectOf(scene, { classPath, position }) {
   let best = null, nearest = OBJECT_REACH_M, smallest = Infinity;
-  if (!classPath.length) return null;
-  (scene.objects ?? []).forEach(({ corners, path }, number) => {
-    if (classPath.some((name, level) => path[level] !== name)) return;
-    const { distance, volume } = besideBox(corners, position);
-    if (distance > nearest || (distance === nearest && volume >= smallest)) return;
-    [best, nearest, smallest] = [number, distance, volume];
-  });
+  for (const object of scene.objects) {
+    // A box cannot tell what a Gaussian of an unknown class belongs to.
+    if (classPath.length ? classPath.some((name, level) => object.path[level] !== name) : !object.voxels) continue;
+    let { distance, volume } = besideBox(object.corners, position);
+    if (object.voxels && distance <= OBJECT_REACH_M) distance = besidePoints(object.voxels, position);
+    if (distance > nearest || (distance === nearest && volume >= smallest)) continue;
+    [best, nearest, smallest] = [object, distance, volume];
+  }
   return best;
+}
+
+/** Distance of a point from the nearest of some points. */
+function besidePoints(points, [x, y, z]) {
+  let square = Infinity;
+  for (let i = 0; i < points.length; i += 3) {
+    square = Math.min(square, (points[i] - x) ** 2 + (points[i + 1] - y) ** 2 + (points[i + 2] - z) ** 2);
+  }
+  return Math.sqrt(square);
 }
 
 /** Distance of a point from a box, 0 inside, and the volume of the box. */
@@ -70,13 +82,13 @@ function besideBox(corners, point) {
 function pickKeyframe(scene, camera, x, y, pixelRatio) {
   const reach = FRUSTUM_PICK_PIXELS * pixelRatio;
   let best = null, nearest = Infinity;
-  scene.keyframes.forEach(({ pose }, number) => {
+  for (const keyframe of scene.keyframes) {
     // The middle of the frustum, which is larger on the screen than its tip.
-    const middle = fromCamera(pose, [0, 0, frustumDepth(scene) / 2]);
+    const middle = fromCamera(keyframe.pose, [0, 0, frustumDepth(scene) / 2]);
     const [px, py, depth] = camera.project(middle);
     const far = Math.hypot(px - x, py - y);
-    if (depth > 2 * NEAR_M && far < reach && depth < nearest) [best, nearest] = [number, depth];
-  });
+    if (depth > 2 * NEAR_M && far < reach && depth < nearest) [best, nearest] = [keyframe, depth];
+  }
   return best;
 }
 

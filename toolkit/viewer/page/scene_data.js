@@ -1,4 +1,4 @@
-// Decodes the scene that is embedded in the page, and the parts of large maps that follow.
+// Decodes the scene, which the page contains or a server sends, and the parts of large maps that follow.
 
 const NO_NODE = 65535;
 const ARRAY_TYPES = {
@@ -6,25 +6,47 @@ const ARRAY_TYPES = {
   float32: Float32Array,
 };
 
-/** Read header and arrays; the text of the elements is freed. */
-function readScene() {
-  const scene = JSON.parse(takeText("scene"));
-  const arrays = arraysOf(scene, decodeBase64(takeText("data")).buffer, 0);
+/** The scene in the page, whose text is freed; null if a server sends it. */
+function embeddedScene() {
+  const header = takeText("scene"), data = takeText("data");
+  return header ? sceneOf(JSON.parse(header), decodeBase64(data).buffer, 0) : null;
+}
+
+/** A scene that the server sent. */
+function readScene(buffer) {
+  const { header, start } = readHeader(buffer);
+  return sceneOf(header, buffer, start);
+}
+
+/** The Gaussians of a part that the server sent. */
+function readChunk(buffer) {
+  const { header, start } = readHeader(buffer);
+  return decodeSplats(header, arraysOf(header, buffer, start));
+}
+
+/** What the server sends: the length of the header, the header, and arrays. */
+function readHeader(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  return { header, start: 4 + length };
+}
+
+/** A scene from its header and its arrays, which begin at a place of the buffer. */
+function sceneOf(scene, buffer, start) {
+  const arrays = arraysOf(scene, buffer, start);
   Object.assign(scene, decodeSplats(scene, arrays));
-  scene.box = scene.overview ?? { low: scene.low, extent: scene.extent };
+  scene.box = scene.overview;
   scene.parts = [[0, scene.count]]; // ranges of the Gaussians that are shown
   scene.capacity = scene.count;
   scene.path = arrays.path;
   scene.pathColours = arrays.pathColours;
   scene.nodes = scene.stream ? arrays : null;
+  let place = 0;
+  for (const object of scene.objects) {
+    // Null if only the box of the object is known.
+    if (object.voxels !== null) object.voxels = arrays.voxels.subarray(place, place += 3 * object.voxels);
+  }
   return scene;
-}
-
-/** Read a part that the server sent: the length of the header, the header, and arrays. */
-function readChunk(buffer) {
-  const length = new DataView(buffer).getUint32(0, true);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
-  return decodeSplats(header, arraysOf(header, buffer, 4 + length));
 }
 
 function arraysOf(header, buffer, start) {
@@ -54,19 +76,18 @@ function decodeSplats(header, arrays) {
 
 function takeText(id) {
   const element = document.getElementById(id);
-  const text = element.textContent;
+  const text = element.textContent.trim();
   element.remove();
   return text;
 }
 
 function decodeBase64(text) {
-  const clean = text.trim();
-  const padding = clean.endsWith("==") ? 2 : clean.endsWith("=") ? 1 : 0;
-  const bytes = new Uint8Array((clean.length / 4) * 3 - padding);
+  const padding = text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0;
+  const bytes = new Uint8Array((text.length / 4) * 3 - padding);
   const step = 1 << 20; // a multiple of 4, small enough for a string of its own
   let place = 0;
-  for (let start = 0; start < clean.length; start += step) {
-    const part = atob(clean.slice(start, start + step));
+  for (let start = 0; start < text.length; start += step) {
+    const part = atob(text.slice(start, start + step));
     for (let i = 0; i < part.length; i++) bytes[place++] = part.charCodeAt(i);
   }
   return bytes;

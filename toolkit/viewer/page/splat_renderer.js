@@ -18,7 +18,7 @@ class SplatRenderer {
       // Degree 1 to 3 have 9, 24 and 45 bytes: 1, 2 and 3 texels of 16 bytes.
       harmonics: this.texture(3, this.degree, gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT),
     };
-    this.array = quadArray(gl);
+    Object.assign(this, quadArray(gl));
     this.order = gl.createBuffer();
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
     gl.enableVertexAttribArray(1);
@@ -35,6 +35,16 @@ class SplatRenderer {
     this.worker.postMessage({ capacity: scene.capacity });
   }
 
+  /** Free what the graphics processor and the worker hold. */
+  dispose() {
+    const { gl } = this;
+    this.worker.onmessage = null;
+    this.worker.terminate();
+    for (const { texture } of Object.values(this.textures)) gl.deleteTexture(texture);
+    for (const buffer of [this.corners, this.order]) gl.deleteBuffer(buffer);
+    gl.deleteVertexArray(this.array);
+  }
+
   /** A texture of `texels` per Gaussian; one texel in all if that is 0. */
   texture(unit, texels, internal, format, type) {
     const { gl } = this;
@@ -44,14 +54,15 @@ class SplatRenderer {
     const rows = Math.max(Math.ceil(this.scene.capacity / ROW), 1);
     gl.texStorage2D(gl.TEXTURE_2D, 1, internal, Math.max(texels * ROW, 1), texels ? rows : 1);
     unfiltered(gl);
-    return { unit, texels, format, type };
+    return { texture, unit, texels, format, type };
   }
 
   /** Write values of `count` Gaussians from number `first` on into a texture. */
-  write({ unit, texels, format, type }, first, count, values) {
+  write({ texture, unit, texels, format, type }, first, count, values) {
     const { gl } = this;
     const perSplat = values.length / count;
     gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
     for (let done = 0; done < count;) {
       const x = (first + done) % ROW, y = Math.floor((first + done) / ROW);
       const left = count - done;
@@ -124,7 +135,12 @@ class SplatRenderer {
     const { gl, uniforms, textures } = this;
     gl.useProgram(this.program);
     setView(gl, uniforms, camera);
-    for (const [name, { unit }] of Object.entries(textures)) gl.uniform1i(uniforms[name], unit);
+    for (const [name, { texture, unit }] of Object.entries(textures)) {
+      // Another renderer, with the next state of the map, uses the same units.
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.uniform1i(uniforms[name], unit);
+    }
     gl.uniform1i(uniforms.anisotropic, textures.shapes.texels ? 1 : 0);
     gl.uniform1i(uniforms.degree, this.viewDependent ? this.degree : 0);
     gl.bindVertexArray(this.array);
@@ -165,13 +181,13 @@ function harmonicTexels(harmonics, begin, end, degree) {
 
 /** A vertex array with the corners of a square as attribute 0; it stays bound. */
 function quadArray(gl) {
-  const array = gl.createVertexArray();
+  const array = gl.createVertexArray(), corners = gl.createBuffer();
   gl.bindVertexArray(array);
-  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+  gl.bindBuffer(gl.ARRAY_BUFFER, corners);
   gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]), gl.STATIC_DRAW);
   gl.enableVertexAttribArray(0);
   gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
-  return array;
+  return { array, corners };
 }
 
 function unfiltered(gl) {

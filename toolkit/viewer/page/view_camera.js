@@ -8,11 +8,23 @@ const MAX_PITCH_RAD = 1.55;
 class ViewCamera {
   /** Start from a scene; `up` is its vertical. */
   constructor(scene) {
+    this.width = this.height = 1;
+    this.setVertical(scene);
+    this.reset(scene);
+  }
+
+  setVertical(scene) {
     this.up = unit(scene.up);
     this.ahead = horizontal(this.up, scene.keyframes[0]);
     this.right0 = unit(cross(this.ahead, this.up));
-    this.width = this.height = 1;
-    this.reset(scene);
+  }
+
+  /** Keep the view in another state of the scene, whose vertical may have been corrected. */
+  adopt(scene) {
+    const { forward, eye } = this;
+    this.setVertical(scene);
+    this.setDirection(forward);
+    this.target = add(eye, scale(this.forward, this.distance));
   }
 
   reset(scene) {

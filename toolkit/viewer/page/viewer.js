@@ -1,33 +1,65 @@
 // Connects scene, view and controls. Pictures are drawn only when something has changed.
 
-const NO_WEBGL = "This browser offers no WebGL2, which the viewer needs. Use a current version of "
-  + "Chrome, Edge, Firefox or Safari, and enable hardware acceleration.";
-
 // A view of a streamed map is still this long after its last motion.
 const REST_MS = 250;
 
 class Viewer {
-  constructor(canvas, gl, scene) {
-    Object.assign(this, { canvas, gl, scene });
+  /** `outdated()` is called if the server has another map than the one that is streamed. */
+  constructor(canvas, gl, scene, outdated) {
+    Object.assign(this, { canvas, gl, outdated });
     this.camera = new ViewCamera(scene);
     this.frames = 0; // drawn with the order of their own view
     this.dirty = false;
-    this.scale = 1; // of the picture, less while a streamed map moves on slow graphics
-    this.lines = new LineRenderer(gl, scene);
-    this.detail = scene.stream ? new DetailStream(scene, () => this.arrived()) : null;
-    this.splats = new SplatRenderer(gl, scene, (current) => this.redraw(current));
+    this.keyframe = null; // the chosen one
+    this.lines = new LineRenderer(gl);
     this.colouring = new Colouring(scene);
-    this.pace = scene.stream ? new Pace(gl, scene.stream.budget) : null;
-    if (this.detail) this.detail.start(this.splats, this.colouring);
-    else {
-      this.splats.upload(scene, 0, scene.count, 0);
-      this.splats.partsChanged();
-    }
-    this.panel = new Panel(scene, this.colouring, this.actions());
+    this.panel = new Panel(this.colouring, this.actions());
+    this.setScale(1);
+    this.show(scene);
     this.navigation = new Navigation(
       canvas, this.camera, () => this.moved(), (x, y) => this.click(x, y));
     new ResizeObserver(() => this.resize()).observe(canvas);
-    this.resize();
+  }
+
+  /** Show a scene, the first one or another state of it. The view and what is chosen stay. */
+  show(scene) {
+    const { gl } = this;
+    this.scene = scene;
+    this.camera.adopt(scene);
+    this.colouring.adopt(scene);
+    this.detail?.end();
+    clearTimeout(this.rest);
+    clearTimeout(this.arrival);
+    this.moving = false;
+    this.arrival = undefined;
+    if (this.splats !== this.drawn) this.splats.dispose(); // one that has not been drawn so far
+    this.detail = scene.stream
+      ? new DetailStream(scene, () => this.arrived(), () => this.outdated()) : null;
+    const splats = new SplatRenderer(gl, scene, (current) => this.sorted(splats, current));
+    this.splats = splats;
+    this.pace = scene.stream ? new Pace(gl, scene.stream.budget) : null;
+    this.setScale(1); // of the picture, less while a streamed map moves on slow graphics
+    if (this.detail) this.detail.start(splats, this.colouring);
+    else {
+      splats.upload(scene, 0, scene.count, 0);
+      splats.partsChanged();
+    }
+    const { index } = this.keyframe ?? {};
+    this.keyframe = scene.keyframes.find((keyframe) => keyframe.index === index) ?? null;
+    if (!this.keyframe) this.panel.showKeyframe(null);
+    this.lines.show(scene, this.keyframe);
+    this.panel.show(scene);
+    this.moved();
+  }
+
+  /** There is a new order; what was drawn before the first one is replaced now. */
+  sorted(splats, current) {
+    if (this.drawn !== splats) {
+      this.drawn?.dispose();
+      this.drawn = splats;
+      this.canvas.dataset.version = this.scene.version;
+    }
+    this.redraw(current);
   }
 
   actions() {
@@ -40,15 +72,14 @@ class Viewer {
         this.navigation.flying = !this.navigation.flying;
         this.panel.setNavigation(this.navigation.flying);
       },
-      object: (number) => { this.lines.chooseObject(number); this.redraw(true); },
-      lookAt: (number) => this.lookAtObject(number),
-      viewFrom: (keyframe) => { this.camera.setPose(keyframe.pose); this.moved(); },
+      object: (object) => { this.lines.chooseObject(object); this.redraw(true); },
+      lookAt: (object) => this.lookAtObject(object),
+      viewFrom: () => { this.camera.setPose(this.keyframe.pose); this.moved(); },
     };
   }
 
   /** Look at an object of the scene graph. */
-  lookAtObject(number) {
-    const { corners } = this.scene.objects[number];
+  lookAtObject({ corners }) {
     const [low, high] = [corners.slice(0, 3), corners.slice(21, 24)];
     const middle = scale(add(low, high), 0.5);
     this.camera.lookAt(middle, 1.2 * norm(sub(high, low)));
@@ -114,6 +145,7 @@ class Viewer {
   finished() {
     const { detail, pace, splats } = this;
     if (this.waiting) requestAnimationFrame((time) => this.draw(time));
+    if (!detail) return; // another map is shown by now
     if (this.moving) this.awaitRest();
     const still = !this.moving && !this.arrival && detail.complete && !splats.outdated && !splats.busy;
     const grown = still && detail.limited && pace.grow();
@@ -143,9 +175,9 @@ class Viewer {
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    this.splats.draw(camera);
+    this.drawn?.draw(camera);
     this.lines.draw(camera, this.pixelRatio);
-    if (this.current && this.splats.visible) this.canvas.dataset.frames = ++this.frames;
+    if (this.current && this.drawn?.visible) this.canvas.dataset.frames = ++this.frames;
     this.pace?.began(this.moving, () => this.finished());
     if (held) this.moved();
     else if (this.navigation?.keys.size) this.redraw(false);
@@ -155,36 +187,16 @@ class Viewer {
   click(x, y) {
     const box = this.canvas.getBoundingClientRect();
     const pixel = [(x - box.left) * this.pixelRatio, (y - box.top) * this.pixelRatio];
-    const number = this.lines.shown.keyframes
+    const keyframe = this.lines.shown.keyframes
       ? pickKeyframe(this.scene, this.camera, ...pixel, this.pixelRatio) : null;
-    const keyframe = number === null ? null : this.scene.keyframes[number];
-    this.lines.choose(number);
+    this.keyframe = keyframe;
+    this.lines.choose(keyframe);
     this.panel.showKeyframe(keyframe);
     const splat = keyframe ? null : pickSplat(this.scene, this.camera, ...pixel);
     const found = splat === null ? null : describeSplat(this.scene, splat);
-    if (!keyframe) this.panel.chooseObject(found && objectOf(this.scene, found));
+    if (!keyframe) this.panel.objects.choose((found && objectOf(this.scene, found))?.number ?? null);
     this.panel.showSplat(found);
     this.redraw(true);
     return keyframe ?? found;
   }
 }
-
-function showMessage(text) {
-  byId("message").textContent = text;
-  byId("message").hidden = false;
-  byId("panel").hidden = true;
-}
-
-function start() {
-  const canvas = byId("view");
-  const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
-  if (!gl) {
-    showMessage(NO_WEBGL);
-    return;
-  }
-  canvas.addEventListener("webglcontextlost", () =>
-    showMessage("The graphics driver has stopped the 3D view. Reload the page."));
-  window.semsplatViewer = new Viewer(canvas, gl, readScene());
-}
-
-start();
