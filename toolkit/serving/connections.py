@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from typing import Any, ClassVar
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -25,14 +25,14 @@ def bounded_protocol(max_connections: int) -> type[H11Protocol]:
 
     class Protocol(_BoundedProtocol):
         most = max_connections
-        waiting: dict[_BoundedProtocol, None] = {}  # the oldest first
+        waiting = dict[_BoundedProtocol, None]()  # the oldest first
 
     return Protocol
 
 
 class _BoundedProtocol(H11Protocol):
-    most: int
-    waiting: dict[_BoundedProtocol, None]
+    most: ClassVar[int]
+    waiting: ClassVar[dict[_BoundedProtocol, None]]
 
     def __init__(self, *words: Any, **named: Any) -> None:
         super().__init__(*words, **named)
