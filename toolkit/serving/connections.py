@@ -25,7 +25,7 @@ def bounded_protocol(max_connections: int) -> type[H11Protocol]:
 
     class Protocol(_BoundedProtocol):
         most = max_connections
-        waiting = dict[_BoundedProtocol, None]()  # the oldest first
+        waiting: ClassVar[dict[_BoundedProtocol, None]] = {}  # the oldest first
 
     return Protocol
 
