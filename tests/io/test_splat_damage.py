@@ -214,7 +214,59 @@ def test_damaged_usd_packages_are_refused(tmp_path):
     content = path.read_bytes()
     for place in range(200, len(content) - 200, len(content) // 20):
         path.write_bytes(content[:place] + bytes([content[place] ^ 64]) + content[place + 1 :])
-        assert_refused(path, "is no USD file, or is damaged")
+        assert_refused(path, r"is no USD file, or is damaged|cannot be read \(")
+
+
+LAYER = """#usda 1.0
+( defaultPrim = "a0" )
+def "a0"
+{{
+    {}
+}}
+"""
+
+
+def multiplied(levels: int) -> str:
+    """Prims with ten children each, which refer to the prim of the next level."""
+    prims = [
+        "\n".join(
+            [f'def "a{level}"', "{"]
+            + [f'def "b{k}" ( references = </a{level + 1}> ) {{\n}}' for k in range(10)]
+            + ["}"]
+        )
+        for level in range(levels)
+    ]
+    return "\n".join(["#usda 1.0", *prims, f'def "a{levels}" {{\n}}'])
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (LAYER.format('def "b" ( references = @../other.usda@ ) {\n}'), "outside of its folder"),
+        (LAYER.format('def "b" ( references = @/tmp/other.usda@ ) {\n}'), "outside of its folder"),
+        ("#usda 1.0\n( subLayers = [@../other.usda@] )\n", "outside of its folder"),
+        (multiplied(8), "makes more than 1,000,000 prims"),
+        (LAYER.format('def "b" ( references = </a0> ) {\n}'), "refers to itself"),
+        (LAYER.format('def "b" ( payload = @missing.usda@ ) {\n}'), "is no USD file"),
+    ],
+)
+def test_usd_layers_are_checked_before_they_are_composed(tmp_path, text, fault):
+    pytest.importorskip("pxr.UsdVol")
+    (tmp_path / "other.usda").write_text(LAYER.format(""))
+    path = tmp_path / "scene" / "map.usda"
+    path.parent.mkdir()
+    path.write_text(text)
+    assert_refused(path, fault)
+
+
+def test_usd_files_may_refer_to_others_beside_them(tmp_path):
+    pytest.importorskip("pxr.UsdVol")
+    inner = tmp_path / "parts" / "map.usdc"
+    inner.parent.mkdir()
+    export_splats(inner, ellipsoids(0))
+    path = tmp_path / "scene.usda"
+    path.write_text(LAYER.format('def "b" ( payload = @./parts/map.usdc@ ) {\n}'))
+    assert len(read_splats(path)) == len(read_splats(inner))
 
 
 def test_label_files_that_are_damaged_anywhere_are_ignored(tmp_path, caplog):

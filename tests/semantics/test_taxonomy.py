@@ -184,9 +184,9 @@ def test_broken_trees_are_refused(tree, message):
         ("tree: {a: [x, y]}\nlevels: [one]", "2 levels but 1"),
         ("tree: {a: [x, y]}\nlevels: [one, one]", "level name.* twice: one"),
         ("tree: {a: {yes: [x, y]}}", "True, which is not a name"),
-        ("tree: {? [a, b] : [x, y]}", "cannot be a name"),
+        ("tree: {? [a, b] : [x, y]}", "cannot be a key"),
         ("tree: &a {b: *a}", "neither YAML nor JSON"),
-        pytest.param("tree: " + "{a: " * 3000, "nested far too deeply", id="deep"),
+        pytest.param("tree: " + "{a: " * 3000, "nests too deeply", id="deep"),
     ],
 )
 def test_broken_files_name_themselves(tmp_path, text, message):

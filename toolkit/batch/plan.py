@@ -7,11 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from toolkit.datasets.options import DatasetOptions
 from toolkit.errors import SettingsError
-from toolkit.io.user_files import read_text
+from toolkit.io.guarded.documents import read_yaml
 from toolkit.options import NonNegativeInt, PositiveFloat, PositiveInt, as_plain, validated
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.settings import PresetName, RunSettings, load_settings, overridden
@@ -137,11 +135,11 @@ def load_plan(path: Path) -> PlannedRuns:
 
 def _read_plan(path: Path) -> Plan:
     try:
-        content = yaml.safe_load(read_text(path))
+        content = read_yaml(path)
     except OSError as error:
         raise SettingsError(f"cannot read the plan {path}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    except ValueError as error:
+        raise SettingsError(f"{path} is not YAML: {error}") from error
     if not isinstance(content, dict):
         raise SettingsError(f"{path} must contain keys and values; see docs/guides/many-runs.md")
     if isinstance(content.get("settings"), dict):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from toolkit.batch.plan import PlannedRun
+from toolkit.io.guarded.documents import read_json
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import LOCK
@@ -58,7 +58,7 @@ def checkpoint_frame(folder: Path) -> int | None:
     frames = []
     for path in (folder / "checkpoint").glob("[01]/metadata.json"):
         try:
-            frames.append(int(json.loads(path.read_text(encoding="utf-8"))["next_frame"]))
+            frames.append(int(read_json(path)["next_frame"]))
         except (OSError, ValueError, KeyError, TypeError):
             continue  # being replaced, or damaged
     return max(frames, default=None)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import logging
 import os
 import sys
 from collections.abc import Callable
+from typing import Any
 
 from toolkit.errors import ToolkitError
-from toolkit.io.printable import printable
+from toolkit.io.printable import PrintableStream, printable
 
 logger = logging.getLogger(__name__)
 
@@ -39,8 +41,11 @@ def one_line_errors(job: Callable[[], int]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    # Names in files may contain sequences that control the terminal.
+    shown: Any = PrintableStream(sys.stdout)
     try:
-        status = job()
+        with contextlib.redirect_stdout(shown):
+            status = job()
         sys.stdout.flush()  # errors of flushing are caught here
         return status
     except BrokenPipeError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,9 +15,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import MAX_NAME
+from toolkit.io.guarded.documents import read_json
 from toolkit.io.splat_labels import instances_in
 from toolkit.io.splats import read_splats
-from toolkit.io.user_files import read_text
 from toolkit.io.visualisation import LegendEntry, RgbImage, colour_image
 from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.semantics.palette import instance_colours
@@ -112,7 +111,7 @@ def _names(file: Path | None) -> dict[int, str]:
     if file is None or not file.is_file():
         return {}
     try:
-        objects = json.loads(read_text(file))["objects"]
+        objects = read_json(file)["objects"]
         return {int(o["id"]): str(o["class"])[:MAX_NAME] for o in objects if o["class"]}
     except (OSError, ValueError, KeyError, TypeError):
         return {}

@@ -16,6 +16,7 @@ from typing import Any
 
 from toolkit import __version__
 from toolkit.cli.errors import one_line_errors
+from toolkit.io.printable import PrintableFormatter
 
 # Job: module of this package, description.
 JOBS = {
@@ -123,7 +124,9 @@ def _set_up_logging(verbose: bool) -> None:
     Messages of other libraries are logged from level WARNING.
     """
     layout = "%(asctime)s %(levelname)s %(name)s: %(message)s" if verbose else "%(message)s"
-    logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=layout)
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(PrintableFormatter(layout))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
     logging.getLogger("toolkit").setLevel(logging.DEBUG if verbose else logging.INFO)
 
 

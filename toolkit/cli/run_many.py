@@ -17,6 +17,7 @@ from toolkit.batch.state import checkpoint_frame, run_state
 from toolkit.batch.table import RunRow, run_row
 from toolkit.cli.batch_programs import RunManyOptions
 from toolkit.evaluation.metrics import ate_frames
+from toolkit.io.printable import printable
 
 _FAILED = 1
 # Seconds between reports of progress, on a terminal and in a log, and the number of runs in them.
@@ -72,7 +73,7 @@ def _finish(options: RunManyOptions, planned: PlannedRuns, rows: list[RunRow]) -
     report = write_batch_report(planned.out, options.plan.stem, rows)
     failed = [row for row in rows if row.reason]
     for row in failed:
-        print(f"failed: {row.run.name}: {row.reason}", file=sys.stderr)
+        print(printable(f"failed: {row.run.name}: {row.reason}"), file=sys.stderr)
     print(f"{len(rows) - len(failed)} of {len(rows)} runs finished: {report}")
     return _FAILED if failed else 0
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit.cli.programs import QueryProgram
 from toolkit.errors import FormatError
+from toolkit.io.guarded.arrays import read_array
 from toolkit.io.images import read_rgb
 from toolkit.io.object_embeddings import OBJECTS, ObjectEmbeddings, read_objects
 from toolkit.io.printable import printable
@@ -94,10 +95,10 @@ def _queries(options: QueryProgram) -> Iterator[tuple[str, NDArray[np.floating],
 
 def _read_embedding(path: Path) -> NDArray[np.floating]:
     try:
-        array = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        array = read_array(path)
+    except (OSError, ValueError) as error:
         raise FormatError(f"--embedding {path} is not a readable .npy file; check it") from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind != "f" or array.squeeze().ndim != 1:
+    if array.dtype.kind != "f" or array.squeeze().ndim != 1:
         raise FormatError(f"--embedding {path} must contain one vector of floating point numbers")
     return array.squeeze()
 

@@ -20,8 +20,9 @@ from toolkit.datasets.pairing import (
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import read_class_names
+from toolkit.io.guarded.documents import read_yaml
 from toolkit.io.trajectories import read_tum_lines, text_lines
-from toolkit.io.user_files import read_text, visible
+from toolkit.io.user_files import visible
 
 DEFAULT_FPS = 30.0
 _REQUIRED = ("fx", "fy", "cx", "cy", "width", "height")
@@ -176,13 +177,10 @@ def _number(key: str, value: Any) -> float:
 
 
 def _load_mapping(path: Path) -> dict:
-    import yaml  # only this layout needs it, so it may be missing on a GPU server
-
     try:
-        values = yaml.safe_load(read_text(path))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise DatasetError(f"cannot read {path}: {reason}; it must be YAML") from error
+        values = read_yaml(path)
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"cannot read {path}: {error}; it must be YAML") from error
     if not isinstance(values, dict):
         raise DatasetError(f"{path} must contain `key: value` lines: {', '.join(_REQUIRED)}")
     return values

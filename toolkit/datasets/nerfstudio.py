@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,8 +23,8 @@ from toolkit.datasets.pairing import (
 )
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
+from toolkit.io.guarded.documents import read_json
 from toolkit.io.images import read_depth_m, read_rgb
-from toolkit.io.user_files import read_text
 
 FPS = 30.0
 METRES_PER_VALUE = 0.001
@@ -138,8 +137,8 @@ class _Entry:
 
 def _load(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(read_text(file))
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
+        content = read_json(file)
+    except (OSError, ValueError) as error:
         raise DatasetError(f"cannot read {file}: {error}; it must be JSON") from error
     if not isinstance(content, dict):
         raise DatasetError(f"{file} must contain a JSON object with the key frames")

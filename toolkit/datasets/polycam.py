@@ -6,7 +6,6 @@ belong together by name, which is the time in microseconds.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,8 +27,9 @@ from toolkit.datasets.pairing import (
 )
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
+from toolkit.io.guarded.documents import read_json
 from toolkit.io.images import read_depth_m
-from toolkit.io.user_files import read_text, visible
+from toolkit.io.user_files import visible
 
 DEPTH_SCALE = 1000.0
 FPS = 30.0
@@ -107,8 +107,8 @@ class _Entry:
     @classmethod
     def read(cls, file: Path) -> _Entry:
         try:
-            content = json.loads(read_text(file))
-        except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
+            content = read_json(file)
+        except (OSError, ValueError) as error:
             raise DatasetError(f"cannot read {file}: {error}; it must be JSON") from error
         keys = ["fx", "fy", "cx", "cy", "width", "height"]
         rows = [f"t_{i}{j}" for i in range(3) for j in range(4)]

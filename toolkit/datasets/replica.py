@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from toolkit.datasets.base import Recording
@@ -16,8 +15,8 @@ from toolkit.datasets.pairing import (
 from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import read_class_names
+from toolkit.io.guarded.documents import read_json
 from toolkit.io.trajectories import read_matrix_lines
-from toolkit.io.user_files import read_text
 
 # Frame rate; the layout has no timestamps.
 FPS = 30.0
@@ -72,7 +71,7 @@ def read_camera(path: Path) -> tuple[Camera, float]:
         DatasetError: the file is malformed or a value is out of range.
     """
     try:
-        values = json.loads(read_text(path))["camera"]
+        values = read_json(path)["camera"]
         camera = Camera(
             fx=float(values["fx"]),
             fy=float(values["fy"]),

@@ -11,7 +11,6 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,6 +35,7 @@ from toolkit.evaluation.trajectory import (
 from toolkit.evaluation.true_poses import pose_delay, pose_scale
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import atomic
+from toolkit.io.guarded.documents import read_json
 from toolkit.stages import Column
 
 MetricValue = float | int | str | None
@@ -307,7 +307,7 @@ def read_metrics(path: str | os.PathLike[str]) -> Metrics:
         FormatError: the file is missing or does not contain a dictionary.
     """
     try:
-        metrics = json.loads(Path(path).read_text(encoding="utf-8"))
+        metrics = read_json(path)
     except (OSError, ValueError) as error:
         raise FormatError(
             f"{path} cannot be read as metrics ({error}); create it again with: semsplat evaluate"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,12 +13,10 @@ import numpy as np
 from toolkit.errors import DatasetError
 from toolkit.instances.masks import InstanceMasks
 from toolkit.instances.rle import decoded_mask
-from toolkit.io.user_files import read_text
+from toolkit.io.guarded.documents import read_json
+from toolkit.io.guarded.images import MAX_PIXELS
 from toolkit.keyframe import Keyframe
 from toolkit.semantics.segmenters.image_folder import resized_labels
-
-# Maximum width and height of an image, in pixels.
-_MAX_SIDE = 2**15
 
 
 @dataclass(frozen=True)
@@ -46,6 +43,8 @@ class CocoMasks:
         self._path = path
         content = _read(path)
         try:
+            _check_unique(content["images"], "image")
+            _check_unique(content.get("categories", []), "category")
             names = {int(c["id"]): str(c["name"]) for c in content.get("categories", [])}
             sizes = {i["id"]: (*_size(i), str(i["file_name"])) for i in content["images"]}
             annotations = [(a["image_id"], _annotation(a, names)) for a in content["annotations"]]
@@ -105,10 +104,10 @@ class CocoMasks:
 
 def _read(path: Path) -> Mapping[str, Any]:
     try:
-        content = json.loads(read_text(path))
+        content = read_json(path)
     except OSError as error:
         raise DatasetError(f"cannot read {path}: {error.strerror}; check the path") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise DatasetError(f"{path} is not JSON ({error}); export the masks again") from error
     if not isinstance(content, dict):
         raise DatasetError(
@@ -119,9 +118,22 @@ def _read(path: Path) -> Mapping[str, Any]:
 
 def _size(image: Mapping[str, Any]) -> tuple[int, int]:
     height, width = int(image["height"]), int(image["width"])
-    if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
+    if height <= 0 or width <= 0 or height * width > MAX_PIXELS:
         raise ValueError(f"an image has {width}x{height} pixels")
     return height, width
+
+
+def _check_unique(entries: Sequence[Mapping[str, Any]], kind: str) -> None:
+    """Check that each id belongs to one entry.
+
+    Raises:
+        ValueError: one belongs to two.
+    """
+    seen = set()
+    for entry in entries:
+        if entry["id"] in seen:
+            raise ValueError(f"{kind} {entry['id']} is given twice")
+        seen.add(entry["id"])
 
 
 def _annotation(values: Mapping[str, Any], names: Mapping[int, str]) -> _Annotation:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError
 from toolkit.instances.masks import InstanceMasks
+from toolkit.io.guarded.arrays import read_arrays
 from toolkit.io.images import read_labels
 from toolkit.io.object_embeddings import unit_rows
 from toolkit.keyframe import Keyframe
@@ -23,6 +23,8 @@ _log = logging.getLogger(__name__)
 _SMALLEST = 1e-6
 # Maximum length of the name of a model (`object_embeddings`).
 _MAX_NAME = 200
+# The columns of the masks of an image; embeddings have some kilobytes each.
+_MAX_BYTES = 2**28
 
 
 class MaskImageFolder:
@@ -123,9 +125,8 @@ def _read(file: Path) -> dict[str, NDArray]:
         DatasetError: the file is damaged, or a column has another shape or is not finite.
     """
     try:
-        with np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        arrays = read_arrays(file, max_bytes=_MAX_BYTES)
+    except (OSError, ValueError) as error:
         raise DatasetError(
             f"{file} cannot be read ({error}); write it again, or delete it"
         ) from error

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 # Compressed counts are numbers of 5 bits per character, from this character, with a flag for more.
 _FIRST, _BITS, _MORE = 48, 5, 0x20
+# A mask of no pixels has a count, too.
+_MAX_LENGTH = 16
 
 
 def decoded_mask(segmentation: Any, size: tuple[int, int]) -> NDArray[np.bool_]:
@@ -38,6 +40,9 @@ def _run_lengths(encoded: dict[str, Any], size: tuple[int, int]) -> NDArray[np.b
     if not isinstance(given, list) or tuple(given) != size:
         raise ValueError(f"the mask has size {given}, the image {list(size)}")
     counts = encoded.get("counts")
+    # Each run has a pixel, and lengths of up to five characters are rare.
+    if isinstance(counts, (str, list)) and len(counts) > _MAX_LENGTH + 5 * size[0] * size[1]:
+        raise ValueError(f"{len(counts)} counts are too many for {size[1]}x{size[0]} pixels")
     if isinstance(counts, str):
         counts = compressed_counts(counts)
     if not isinstance(counts, list) or not all(isinstance(c, int) and c >= 0 for c in counts):

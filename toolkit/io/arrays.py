@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.io.atomic import cannot_write, replacing, sync
+from toolkit.io.guarded.arrays import read_arrays
+from toolkit.io.guarded.documents import read_json
 
 PathLike = str | os.PathLike[str]
 
@@ -153,14 +155,14 @@ def read_array_tree(folder: PathLike, wanted: Callable[[str], bool] | None = Non
     """
     folder = Path(folder)
     try:
-        metadata = json.loads((folder / _METADATA).read_text(encoding="utf-8"))
-        arrays = _read_arrays(folder / _ARRAYS, wanted)
+        metadata = read_json(folder / _METADATA)
+        arrays = read_arrays(folder / _ARRAYS, wanted)
     except OSError as error:
         raise RunFolderError(
             f"cannot read {folder}: {error.strerror or error}; use an older checkpoint, "
             f"or start again"
         ) from error
-    except (ValueError, zipfile.BadZipFile, KeyError, EOFError) as error:
+    except ValueError as error:
         raise FormatError(
             f"{folder} is damaged ({error}); use an older checkpoint, or start again"
         ) from error
@@ -177,12 +179,6 @@ def _write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
             with archive.open(member, "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, np.asanyarray(arrays[name]), allow_pickle=False)
     sync(path)
-
-
-def _read_arrays(path: Path, wanted: Callable[[str], bool] | None) -> dict[str, NDArray]:
-    with np.load(path, allow_pickle=False) as archive:
-        names = filter(wanted, archive.files) if wanted else archive.files
-        return {name: archive[name] for name in names}
 
 
 def _put_in_place(temporary: Path, folder: Path) -> None:

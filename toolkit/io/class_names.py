@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from toolkit.errors import DatasetError
-from toolkit.io.user_files import read_text
+from toolkit.io.guarded.documents import read_json
 
 _FORM = '{"void": 0, "classes": {"1": "name", ...}}'
 _COLOUR_FORM = '"colours": {"1": [red, green, blue], ...}, each 0 to 255'
@@ -45,6 +44,7 @@ def read_class_names(path: Path) -> dict[int, str]:
             f"{path} names no classes; add those of the label images, or remove the labels"
         )
     names: dict[int, str] = {}
+    seen: dict[str, int] = {}
     for key, name in classes.items():
         number = _class_id(key, path)
         if not isinstance(name, str) or not name.strip():
@@ -56,7 +56,12 @@ def read_class_names(path: Path) -> dict[int, str]:
             if name.casefold() not in VOID_NAMES:
                 raise DatasetError(f"{path}: id 0 is void, so it cannot be '{name}'; renumber it")
             continue
-        names[number] = name
+        if name in seen:
+            raise DatasetError(
+                f"{path}: classes {seen[name]} and {number} are both called '{name}'; rename one, "
+                "or give them one id"
+            )
+        names[number], seen[name] = name, number
     return names
 
 
@@ -85,7 +90,7 @@ def read_class_colours(path: Path) -> dict[int, tuple[int, int, int]] | None:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(read_text(path), object_pairs_hook=_unique)
+        content = read_json(path)
     except OSError as error:
         raise DatasetError(
             f"cannot read {path}: {error.strerror}; it must contain {_FORM}"
@@ -97,15 +102,6 @@ def _content(path: Path) -> dict[str, Any]:
     if content.get("void", 0) != 0:
         raise DatasetError(f"{path}: void is {content['void']!r}, but must be 0; renumber it")
     return content
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Build a JSON object and reject duplicate keys, of which `json` silently keeps the last."""
-    made = dict(pairs)
-    if len(made) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(f"'{next(k for k in keys if keys.count(k) > 1)}' is given twice")
-    return made
 
 
 def _mapping(content: dict[str, Any], key: str, path: Path) -> dict[str, Any]:

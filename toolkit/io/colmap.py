@@ -89,6 +89,8 @@ def read_cameras(path: Path) -> dict[int, ColmapCamera]:
                 f"{place}: the camera model {name} is not supported; undistort the images with "
                 f"`colmap image_undistorter`"
             )
+        if identifier in cameras:
+            raise FormatError(f"{place}: camera {identifier} is given twice; remove one")
         try:
             cameras[identifier] = _camera(model, values, width, height)
         except (ValueError, SettingsError) as error:
@@ -146,7 +148,7 @@ def _image_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines of images with their numbers; each is followed by a line of points, maybe empty."""
     try:
         lines = read_text(path).splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise DatasetError(f"cannot read {path}: {error}; export the model again") from error
     points_follow = False
     for number, line in enumerate(lines, start=1):

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from toolkit.errors import DatasetError, FormatError
+from toolkit.io.guarded.content import read_content
 
 # Name and number of parameters by the number of the camera model, of `src/colmap/sensor/models.h`.
 _CAMERA_MODELS = {
@@ -38,9 +39,10 @@ class _Reader:
         self.path = path
         self._at = 0
         try:
-            self._content = path.read_bytes()
-        except OSError as error:
-            raise DatasetError(f"cannot read {path}: {error.strerror}; check the path") from error
+            self._content = read_content(path)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise DatasetError(f"cannot read {path}: {reason}; check the path") from error
 
     def values(self, layout: str) -> tuple[Any, ...]:
         try:

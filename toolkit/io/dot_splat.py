@@ -12,6 +12,7 @@ import numpy as np
 
 from toolkit.errors import FormatError
 from toolkit.io.atomic import write_bytes
+from toolkit.io.guarded.content import read_content
 from toolkit.io.splat_columns import CONSTANT_HARMONIC, Columns, Order, logits, opacities_of
 
 _ROW = np.dtype(
@@ -25,7 +26,7 @@ def read_dot_splat(path: Path) -> Columns:
     Raises:
         FormatError: its length is not a multiple of 32 bytes.
     """
-    content = path.read_bytes()
+    content = read_content(path)
     if not content or len(content) % _ROW.itemsize:
         raise FormatError(
             f"{path} is truncated, or not a .splat file: its length of {len(content)} bytes is not "

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.geometry import se3
 from toolkit.io.atomic import write_bytes, write_text
+from toolkit.io.guarded.content import read_content
+from toolkit.io.guarded.documents import parse_json
 
 _MAGIC, _VERSION, _JSON, _BINARY = b"glTF", 2, b"JSON", b"BIN\0"
 _HEADER = 12
@@ -87,7 +89,7 @@ class GltfDocument:
         if ":" in uri or name.is_absolute() or ".." in name.parts:
             raise FormatError(f"{self.path}: buffer {uri!r} does not lie beside the file; copy it")
         try:
-            return (self.path.parent / name).read_bytes()
+            return read_content(self.path.parent / name)
         except OSError as error:
             raise FormatError(
                 f"{self.path} needs the file {uri!r} beside it ({error.strerror}); copy it there"
@@ -159,13 +161,13 @@ def read_document(path: Path) -> GltfDocument:
     Raises:
         FormatError: it is truncated, or is no glTF 2.0.
     """
-    content, buffers = path.read_bytes(), {}
+    content, buffers = read_content(path), {}
     if content[:4] == _MAGIC:
         content, buffers[0] = _chunks(path, content)
     try:
-        tree = json.loads(content)
+        tree = parse_json(content)
         version = tree["asset"]["version"]
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise FormatError(f"{path} is not glTF, or is truncated; write it again") from error
     if str(version).partition(".")[0] != "2":
         raise FormatError(f"{path} is glTF {version}; write it as glTF 2.0")

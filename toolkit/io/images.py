@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError, DependencyError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import write_bytes
+from toolkit.io.guarded.content import DamagedError, read_content
+from toolkit.io.guarded.images import check_pixels
 
 PathLike = str | os.PathLike[str]
 
@@ -184,11 +186,14 @@ def check_whole(path: PathLike) -> None:
         DatasetError: the file is missing, empty or truncated, or a PNG checksum does not match.
     """
     try:
-        content = Path(path).read_bytes()
+        content = read_content(path)
+        check_pixels(content)
     except OSError as error:
         raise DatasetError(
             f"cannot read image {path}: {error.strerror}; check the path and its permissions"
         ) from error
+    except DamagedError as error:
+        raise DatasetError(f"image {path} cannot be used: {error}; convert it again") from error
     if content.startswith(_PNG_SIGNATURE):
         fault = _png_fault(content)
     elif content.startswith(_JPEG_START):

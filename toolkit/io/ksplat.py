@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.io.guarded.content import read_content
 from toolkit.io.splat_columns import CONSTANT_HARMONIC, Columns, logits
 
 _HEADER_BYTES, _SECTION_BYTES = 4096, 1024
@@ -80,7 +81,7 @@ def read_ksplat(path: Path) -> Columns:
     Raises:
         FormatError: it is damaged, or its version is not supported.
     """
-    content = path.read_bytes()
+    content = read_content(path)
     if len(content) < _HEADER_BYTES:
         raise FormatError(f"{path} is truncated, or not a .ksplat file; write it again")
     major, minor, section_count, _, count, level, low, high = _HEADER.unpack_from(content)

@@ -18,8 +18,6 @@ import hashlib
 import io
 import json
 import logging
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,17 +27,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.io.atomic import write_bytes
+from toolkit.io.guarded.arrays import read_arrays
+from toolkit.io.guarded.documents import parse_json
 from toolkit.io.splat_columns import Order
 from toolkit.io.splat_labels import INSTANCE, SplatLabels, instances_in
 
 _log = logging.getLogger(__name__)
 
 _VOID = "void"
-# What a damaged file raises.
-_DAMAGED = (
-    *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError),
-    *(RuntimeError, MemoryError, OverflowError, SyntaxError, zipfile.BadZipFile, zlib.error),
-)
+# Bytes of the class tree, and of the labels of a splat in a tree of many levels.
+_ANY_BYTES, _MAX_ROW = 2**26, 256
 _LABELS = ("label", "levels", "confidence")
 
 
@@ -110,12 +107,11 @@ def read_label_file(splat_file: Path, count: int) -> LabelFile | None:
     if not path.is_file():
         return None
     try:
-        # Arrays that cannot be loaded leave the files open that they opened.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            columns = _columns(arrays)
-            taxonomy = json.loads(str(arrays["taxonomy"])) if "taxonomy" in arrays else None
-            digest = str(arrays["splats_sha256"])
-    except _DAMAGED as error:
+        arrays = read_arrays(path, max_bytes=_ANY_BYTES + _MAX_ROW * count)
+        columns = _columns(arrays)
+        taxonomy = parse_json(str(arrays["taxonomy"])) if "taxonomy" in arrays else None
+        digest = str(arrays["splats_sha256"])
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
         _log.warning("%s cannot be read and is ignored (%s); export the map again.", path, error)
         return None
     rows = len(next(iter(columns.values()))) if columns else count

@@ -17,8 +17,6 @@ Arrays of the file (NumPy, without pickle):
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +25,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.io.atomic import replacing
+from toolkit.io.guarded.arrays import read_arrays
 
 OBJECTS = "objects.npz"
 
@@ -179,9 +178,8 @@ def read_objects(path: str | os.PathLike[str]) -> ObjectEmbeddings:
             "semsplat embed-objects RUN --encoder DIR"
         )
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        arrays = read_arrays(path)
+    except (OSError, ValueError) as error:
         raise FormatError(f"{path} is not a readable .npz file; {_REMEDY}") from error
     try:
         return _objects(arrays)

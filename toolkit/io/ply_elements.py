@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
+from toolkit.io.guarded.content import read_content
 
 _END = re.compile(rb"^end_header[ \t]*\r?\n", re.MULTILINE)
 # The byte order of each format; none of text.
@@ -55,7 +56,7 @@ def read_elements(path: Path) -> dict[str, NDArray]:
     Raises:
         FormatError: it is not a PLY, is truncated, or its header is damaged.
     """
-    content = path.read_bytes()
+    content = read_content(path)
     if not content.startswith(b"ply"):
         raise FormatError(f"{path} is not a PLY file; write it again")
     end = _END.search(content)

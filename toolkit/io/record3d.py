@@ -11,11 +11,8 @@ The app's export of EXR and JPG files is a folder with `metadata.json`, `rgb/N.j
 
 from __future__ import annotations
 
-import json
 import math
 import re
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +22,14 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError, DependencyError
 from toolkit.io.exr import read_exr
+from toolkit.io.guarded.archive import Archive
+from toolkit.io.guarded.content import read_content
+from toolkit.io.guarded.documents import parse_json
+from toolkit.io.guarded.images import decoded
 from toolkit.io.user_files import visible
 
+# Images and notes are far smaller.
+_MAX_MEMBER = 2**26
 _METADATA, EXPORTED_METADATA = "metadata", "metadata.json"
 _FRAME = re.compile(r"(?:rgbd|rgb|depth)/(\d+)\.(jpg|depth|conf|exr)")
 
@@ -45,17 +48,17 @@ class Record3DFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._archive: zipfile.ZipFile | None = None
+        self._archive: Archive | None = None
         if not path.exists():
             raise DatasetError(f"{path} does not exist; check the path")
         if path.is_file():
             try:
-                self._archive = zipfile.ZipFile(path)
-            except (zipfile.BadZipFile, OSError) as error:
+                self._archive = Archive(path)
+            except (OSError, ValueError) as error:
                 raise DatasetError(
                     f"{path} is truncated or not a .r3d file ({error}); export it again"
                 ) from error
-        names = self._archive.namelist() if self._archive else _files_below(path)
+        names = self._archive.names if self._archive else _files_below(path)
         self._metadata_name = EXPORTED_METADATA if EXPORTED_METADATA in names else _METADATA
         self._colour = "rgbd/{}.jpg" if self._metadata_name == _METADATA else "rgb/{}.jpg"
         frames: dict[str, list[int]] = {"jpg": [], "depth": [], "conf": [], "exr": []}
@@ -86,10 +89,12 @@ class Record3DFile:
             DatasetError: it is missing or damaged.
         """
         name = self._colour.format(number)
-        data = np.frombuffer(self._read(name), np.uint8)
-        bgr = cv2.imdecode(data, cv2.IMREAD_COLOR_BGR) if data.size else None
-        if bgr is None:
-            raise DatasetError(f"{name} in {self.path} is damaged; export it again")
+        try:
+            bgr = decoded(self._read(name), cv2.IMREAD_COLOR_BGR)
+        except ValueError as error:
+            raise DatasetError(
+                f"{name} in {self.path} is damaged ({error}); export it again"
+            ) from error
         return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.float32) / np.float32(255.0)
 
     def depth_m(self, number: int) -> NDArray[np.float32]:
@@ -138,8 +143,8 @@ class Record3DFile:
 
     def _read_metadata(self) -> dict[str, Any]:
         try:
-            content = json.loads(self._read(self._metadata_name))
-        except (ValueError, RecursionError) as error:
+            content = parse_json(self._read(self._metadata_name))
+        except ValueError as error:
             raise DatasetError(
                 f"{_METADATA} in {self.path} is not JSON ({error}); export it again"
             ) from error
@@ -150,9 +155,9 @@ class Record3DFile:
     def _read(self, name: str) -> bytes:
         try:
             if self._archive is None:
-                return (self.path / name).read_bytes()
-            return self._archive.read(name)
-        except (KeyError, OSError, zipfile.BadZipFile, zlib.error) as error:
+                return read_content(self.path / name, _MAX_MEMBER)
+            return self._archive.read(name, _MAX_MEMBER)
+        except (KeyError, OSError, ValueError) as error:
             raise DatasetError(
                 f"cannot read {name} in {self.path} ({error}); export it again"
             ) from error

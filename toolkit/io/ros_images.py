@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DatasetError
+from toolkit.io.guarded.images import decoded
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
@@ -155,13 +156,13 @@ def _decoded(message: Any, skipped_bytes: int = 0) -> NDArray:
     """Pixels [H, W] or [H, W, 3] BGR of a compressed image."""
     data = np.asarray(message.data, np.uint8)[skipped_bytes:]
     flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
-    image = cv2.imdecode(data, flags) if data.size else None
-    if image is None:
+    try:
+        return decoded(data, flags)
+    except ValueError as error:
         raise DatasetError(
-            f"an image in the format {message.format!r} cannot be decoded; record JPEG, PNG or raw "
-            "images"
-        )
-    return np.asarray(image)
+            f"an image in the format {message.format!r} cannot be decoded ({error}); record JPEG, "
+            "PNG or raw images"
+        ) from error
 
 
 def _decompressed_depth(message: Any) -> NDArray:

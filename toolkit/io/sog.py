@@ -9,10 +9,7 @@ fractions of a range. Axes are those of a PLY.
 from __future__ import annotations
 
 import io
-import json
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +19,9 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.io.guarded.archive import Archive
+from toolkit.io.guarded.content import DamagedError, read_content
+from toolkit.io.guarded.documents import parse_json
 from toolkit.io.smallest_three import join_largest
 from toolkit.io.splat_columns import Columns, check_count, logits
 
@@ -35,15 +35,11 @@ FILTERED_MODEL = "antialiased"
 _CODEBOOK = 256
 # Images may be larger than their splats need, and that of the palette has up to a million pixels.
 _PIXELS, _PIXELS_PER_SPLAT = 2**22, 4
-# Members of a bundle above this size are unpacked to at most this factor: images are compressed.
-_UNPACKED_BYTES, _EXPANSION = 2**24, 20
+# Large members of a bundle are unpacked to at most this factor: images are compressed.
+_EXPANSION = 20
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-
-
-class _DamagedError(Exception):
-    """What is wrong with a file."""
 
 
 def read_sog(path: Path) -> Columns:
@@ -54,10 +50,10 @@ def read_sog(path: Path) -> Columns:
     """
     try:
         if path.suffix.lower() == ".json":
-            return _columns(path, _json(path.read_bytes()), lambda name: _beside(path, name))
-        with zipfile.ZipFile(path) as bundle:
+            return _columns(path, _json(read_content(path)), lambda name: _beside(path, name))
+        with Archive(path) as bundle:
             return _columns(path, _json(_member(bundle, META)), lambda name: _member(bundle, name))
-    except (_DamagedError, zipfile.BadZipFile, zlib.error, RuntimeError) as error:
+    except DamagedError as error:
         raise _cannot_read(path, str(error)) from error
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise _cannot_read(path, f"{META} or an image is not as it must be: {error!r}") from error
@@ -68,8 +64,8 @@ def read_sog(path: Path) -> Columns:
 def is_filtered_sog(path: Path) -> bool:
     """Whether a file that `read_sog` has read says that its splats were fitted with a filter."""
     if path.suffix.lower() == ".json":
-        return _json(path.read_bytes()).get("model") == FILTERED_MODEL
-    with zipfile.ZipFile(path) as bundle:
+        return _json(read_content(path)).get("model") == FILTERED_MODEL
+    with Archive(path) as bundle:
         return _json(bundle.read(META)).get("model") == FILTERED_MODEL
 
 
@@ -78,27 +74,22 @@ def _cannot_read(path: Path, reason: str) -> FormatError:
 
 
 def _json(content: bytes) -> dict[str, Any]:
-    meta = json.loads(content)
+    meta = parse_json(content)
     if not isinstance(meta, dict) or "means" not in meta:
-        raise _DamagedError(f"{META} does not describe splats")
+        raise DamagedError(f"{META} does not describe splats")
     if meta.get("version", 1) not in (1, 2):
-        raise _DamagedError(f"version {meta['version']} is not 1 or 2")
+        raise DamagedError(f"version {meta['version']} is not 1 or 2")
     return meta
 
 
-def _member(bundle: zipfile.ZipFile, name: str) -> bytes:
-    if name not in bundle.namelist():
-        raise _DamagedError(f"{name!r} is missing")
-    member = bundle.getinfo(name)
-    if member.file_size > max(_UNPACKED_BYTES, _EXPANSION * member.compress_size):
-        raise _DamagedError(f"{name!r} would be unpacked to {member.file_size} bytes")
-    return bundle.read(name)
+def _member(bundle: Archive, name: str) -> bytes:
+    return bundle.read(name, max_ratio=_EXPANSION)
 
 
 def _beside(path: Path, name: str) -> bytes:
     if Path(name).name != name or "\\" in name:
-        raise _DamagedError(f"{name!r} is not the name of a file beside it")
-    return (path.parent / name).read_bytes()
+        raise DamagedError(f"{name!r} is not the name of a file beside it")
+    return read_content(path.parent / name)
 
 
 def _columns(path: Path, meta: dict[str, Any], read: Callable[[str], bytes]) -> Columns:
@@ -114,7 +105,7 @@ def _columns(path: Path, meta: dict[str, Any], read: Callable[[str], bytes]) -> 
     def pixels(part: str, index: int = 0) -> Image:
         rows, name = image(part, index).reshape(-1, 4), meta[part]["files"][index]
         if len(rows) < count:
-            raise _DamagedError(f"{name} has {len(rows)} pixels for {count} splats")
+            raise DamagedError(f"{name} has {len(rows)} pixels for {count} splats")
         return rows[:count]
 
     scales, colours = pixels("scales"), pixels("sh0")
@@ -151,10 +142,12 @@ def _decoded(name: str, content: bytes, max_pixels: int) -> Image:
             warnings.simplefilter("ignore", Images.DecompressionBombWarning)
             image = Images.open(io.BytesIO(content), formats=["WEBP", "PNG"])
         if image.width * image.height > max_pixels:
-            raise _DamagedError(f"{name} has {image.width}x{image.height} pixels")
+            raise DamagedError(f"{name} has {image.width}x{image.height} pixels")
         return np.asarray(image.convert("RGBA"))
+    except DamagedError:
+        raise
     except (OSError, ValueError, SyntaxError, Images.DecompressionBombError) as error:
-        raise _DamagedError(f"{name} is not a whole WebP or PNG image") from error
+        raise DamagedError(f"{name} is not a whole WebP or PNG image") from error
 
 
 def _between(part: dict[str, Any], fractions: Array) -> Array:
@@ -167,7 +160,7 @@ def _between(part: dict[str, Any], fractions: Array) -> Array:
 def _coded(part: dict[str, Any], codes: Image) -> Array:
     codebook = np.asarray(part["codebook"], np.float64).reshape(-1)
     if len(codebook) > _CODEBOOK:
-        raise _DamagedError(f"a codebook has {len(codebook)} values instead of {_CODEBOOK}")
+        raise DamagedError(f"a codebook has {len(codebook)} values instead of {_CODEBOOK}")
     return np.asarray(codebook[codes])
 
 
@@ -183,7 +176,7 @@ def _harmonics(part: dict[str, Any], image: Image) -> Array:
     """The palette [P, K, 3] of harmonics."""
     count = image.shape[1] // PALETTE_COLUMNS
     if image.shape[1] % PALETTE_COLUMNS or count not in HARMONIC_COUNTS[1:]:
-        raise _DamagedError(f"the palette of harmonics is {image.shape[1]} pixels wide")
+        raise DamagedError(f"the palette of harmonics is {image.shape[1]} pixels wide")
     palette = image[..., :3].reshape(-1, count, 3)
     if "codebook" in part:
         return _coded(part, palette)

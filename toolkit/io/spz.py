@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.atomic import write_bytes
+from toolkit.io.guarded.content import read_content
 from toolkit.io.open3d_splats import read_with_open3d, write_with_open3d
 from toolkit.io.smallest_three import split_largest
 from toolkit.io.splat_columns import (
@@ -61,7 +62,7 @@ def read_spz(path: Path) -> Columns:
     Raises:
         FormatError: it is damaged, or its version is not supported.
     """
-    content = path.read_bytes()
+    content = read_content(path)
     if content.startswith(_GZIP):
         _check_packed(path, content)
     elif content.startswith(_MAGIC):
@@ -109,7 +110,7 @@ def write_spz(
         return
     write_with_open3d(path, reversed_)
     if flags:
-        content = bytearray(path.read_bytes())
+        content = bytearray(read_content(path))
         content[_FLAGS_PLACE] |= flags
         write_bytes(path, bytes(content))
 

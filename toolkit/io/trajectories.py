@@ -130,8 +130,8 @@ def text_lines(path: PathLike) -> Iterator[tuple[int, str]]:
     """
     try:
         text = read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or f"not a text file ({error})"
         raise DatasetError(f"cannot read {path}: {reason}; check the path") from error
     for number, line in enumerate(text.splitlines(), start=1):
         content = line.split("#", 1)[0].strip()

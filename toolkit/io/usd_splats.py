@@ -11,8 +11,6 @@ import json
 import logging
 import os
 import tempfile
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +22,9 @@ from numpy.typing import NDArray
 from toolkit.errors import DependencyError, FormatError, RunFolderError
 from toolkit.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.atomic import replacing
+from toolkit.io.guarded.archive import Archive
+from toolkit.io.guarded.content import DamagedError, check_regular
+from toolkit.io.guarded.documents import parse_json
 from toolkit.io.splat_columns import OWN_COLUMNS, Columns, logits, opacities_of
 from toolkit.io.splat_placement import (
     HALF_TURN,
@@ -35,6 +36,7 @@ from toolkit.io.splat_placement import (
     linear_from_srgb,
     placed,
 )
+from toolkit.io.usd_layers import check_layers
 
 _log = logging.getLogger(__name__)
 
@@ -48,8 +50,6 @@ _OWN = "semsplat"
 _EXTENT = 3.0
 # The date of the layer in a .usdz, so that the same map gives the same file: 2 January 1980.
 _PACKAGE_DATE = 315_619_200
-# What a damaged package raises.
-_BAD_PACKAGE = (zipfile.BadZipFile, zlib.error, RuntimeError, OSError, EOFError)
 # From z up to y up.
 _Y_FROM_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
@@ -177,7 +177,9 @@ def read_usd_splats(path: Path) -> Columns:
                     T_stage_prim = np.array(transformations.GetLocalToWorldTransform(prim)).T
                     columns = _prim_columns(pxr, path, prim)
                     parts.append(placed(path, columns, T_map_stage @ T_stage_prim))
-        except (pxr.Tf.ErrorException, ValueError, TypeError, *_BAD_PACKAGE) as error:
+        except DamagedError as error:
+            raise FormatError(f"{path} cannot be read ({error}); write it again") from error
+        except (pxr.Tf.ErrorException, OSError, RuntimeError, ValueError, TypeError) as error:
             raise FormatError(f"{path} is no USD file, or is damaged; write it again") from error
     if not parts:
         raise FormatError(f"{path} contains no splats ({_TYPE}); export them with semsplat export")
@@ -195,8 +197,8 @@ def read_usd_notes(path: Path) -> SplatNotes:
         own = _own_data(_stage(pxr, path))
         comments, text = tuple(own.get("comments", ())), own.get("taxonomy", "null")
     try:
-        taxonomy = json.loads(text)
-    except (ValueError, TypeError, RecursionError) as error:
+        taxonomy = parse_json(text)
+    except (ValueError, TypeError) as error:
         raise FormatError(f"{path}: the class tree is damaged; export the map again") from error
     return SplatNotes(comments, taxonomy if isinstance(taxonomy, dict) else None)
 
@@ -204,9 +206,10 @@ def read_usd_notes(path: Path) -> SplatNotes:
 def _stage(pxr: Any, path: Path) -> Any:
     # USD opens truncated packages, and crashes while it reads damaged ones.
     if path.suffix.lower() == ".usdz":
-        with zipfile.ZipFile(path) as package:
-            if package.testzip() is not None:
-                raise ValueError("a file of the package is damaged")
+        with Archive(path) as package:
+            package.check()
+    check_regular(path)
+    check_layers(pxr, path)
     return pxr.Usd.Stage.Open(str(path))
 
 

@@ -6,19 +6,22 @@ import codecs
 import os
 from pathlib import Path
 
+from toolkit.io.guarded.content import MAX_BYTES, read_content
+
 # Folders and files that macOS and Windows add. Names that start with a dot are hidden everywhere;
 # macOS writes ._NAME beside each NAME on the disks and into the archives of other systems.
 _ADDED = ("__MACOSX", "Thumbs.db", "ehthumbs.db", "desktop.ini")
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
+def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> str:
     """Read a text file in UTF-8, with or without a byte order mark, or in UTF-16 with one.
 
     Raises:
         OSError: the file cannot be read.
         UnicodeDecodeError: it is not such a text.
+        DamagedError: it is no file, or larger than the limit.
     """
-    content = Path(path).read_bytes()
+    content = read_content(path, max_bytes)
     marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     return content.decode("utf-16" if marked else "utf-8-sig")
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.io.atomic import cannot_write
+from toolkit.io.guarded.documents import parse_json
 
 _log = logging.getLogger(__name__)
 
@@ -95,7 +96,7 @@ def read_loop_log(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
 
 def _record(line: bytes, location: str) -> dict[str, Any]:
     try:
-        record = json.loads(line)
+        record = parse_json(line)
     except ValueError as error:
         raise FormatError(f"{location} is not JSON ({error}); remove the line") from error
     if not isinstance(record, dict):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.image_sides import SIDES, ImageSide
 from toolkit.geometry.trajectory import Trajectory
+from toolkit.io.guarded.documents import read_json
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splat_placement import origin_comment
 from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
@@ -238,7 +238,7 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
 
 def _read_frames(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
     except ValueError as error:
         raise RunFolderError(f"{path} is not JSON ({error}); run again") from error
     if not isinstance(content, dict):

@@ -32,6 +32,7 @@ from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, write_text
 from toolkit.io.covariances import write_covariances
+from toolkit.io.guarded.documents import read_json
 from toolkit.io.object_embeddings import OBJECTS
 from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.io.splat_parts import write_splat_parts
@@ -273,7 +274,7 @@ class RunFolder:
         for name in _SLOTS:
             path = self.checkpoints / name
             try:
-                serial = json.loads((path / "metadata.json").read_text(encoding="utf-8"))["serial"]
+                serial = read_json(path / "metadata.json")["serial"]
                 found.append((path, int(serial)))
             except FileNotFoundError:
                 continue

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from toolkit.geometry.image_sides import ImageSide
 from toolkit.growing_scene.growing import GrowingScene
 from toolkit.growing_scene.snapshot import Snapshot, snapshot_content
 from toolkit.io.arrays import JoinedArrays, arrays_below, read_array_tree
+from toolkit.io.guarded.documents import read_json
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
@@ -265,7 +265,7 @@ def _growing_scene(
 def read_serial(slot: Path) -> int | None:
     """Read the serial number of a snapshot or checkpoint; None while it is being replaced."""
     try:
-        return int(json.loads((slot / "metadata.json").read_text(encoding="utf-8"))["serial"])
+        return int(read_json(slot / "metadata.json")["serial"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from tqdm import tqdm
 from toolkit.errors import FormatError, SettingsError, ToolkitError
 from toolkit.features.factory import build_differentiable_describer
 from toolkit.geometry import se3
+from toolkit.io.guarded.documents import read_json
 from toolkit.loops.registration.factory import build_registrar, needs_describer
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.loops.registration.views import ViewRenderer
@@ -82,7 +82,7 @@ def read_registration(path: Path, run_a: Path, run_b: Path) -> NDArray[np.float6
         FormatError: the file is missing or damaged, or belongs to other runs.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         T_a_b = np.array(content["T_a_b"], np.float64).reshape(4, 4)
         runs = [Path(content[key]).resolve() for key in ("run_a", "run_b")]
     except OSError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from toolkit.errors import FormatError
 from toolkit.instances.result import MapObject
 from toolkit.instances.saved import SavedObjects
+from toolkit.io.guarded.documents import read_json
 from toolkit.io.object_embeddings import ObjectEmbeddings, read_objects
 from toolkit.io.splat_labels import instances_in
 from toolkit.io.splats import read_splats
@@ -43,7 +43,7 @@ def load_objects(folder: RunFolder) -> SavedObjects | None:
     embedded = read_objects(folder.embeddings) if folder.embeddings.is_file() else None
     embeddings = _by_instance(embedded)
     try:
-        content = json.loads(folder.objects.read_text(encoding="utf-8"))
+        content = read_json(folder.objects)
         objects = [_object(row, embeddings) for row in content["objects"]]
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{folder.objects} is damaged ({error!r}); run again") from error

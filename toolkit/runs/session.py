@@ -12,6 +12,7 @@ from pathlib import Path
 from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
+from toolkit.io.printable import PrintableFormatter
 from toolkit.runs.checkpoint_writer import CheckpointWriter, System
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
@@ -139,7 +140,7 @@ class Session:
 def logged_to(path: Path) -> Iterator[None]:
     """Append the log of the toolkit to a file."""
     handler = logging.FileHandler(path, encoding="utf-8", errors="backslashreplace")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(PrintableFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     logger = logging.getLogger("toolkit")
     logger.addHandler(handler)
     try:

@@ -15,7 +15,7 @@ from toolkit.errors import SettingsError
 from toolkit.evaluation.options import EvaluationOptions
 from toolkit.growing_scene.options import GrowingSceneOptions
 from toolkit.instances.options import InstanceOptions
-from toolkit.io.user_files import read_text
+from toolkit.io.guarded.documents import read_yaml
 from toolkit.loops.closing.options import LoopClosureOptions
 from toolkit.loops.registration.options import RegistrationOptions
 from toolkit.mapping.options import MapperOptions
@@ -128,11 +128,11 @@ def load_settings(path: Path | None = None, preset: str = "default") -> RunSetti
 def _read(path: Path) -> dict[str, Any]:
     """The keys and values of a YAML file."""
     try:
-        content = yaml.safe_load(read_text(path))
+        content = read_yaml(path)
     except OSError as error:
         raise SettingsError(f"cannot read settings {path}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    except ValueError as error:
+        raise SettingsError(f"{path} is not YAML: {error}") from error
     if content is None:
         return {}
     if not isinstance(content, dict):

@@ -21,7 +21,8 @@ class ServiceLimits:
     """Maximum number of renders and queries that are computed or wait; they are computed one after
     another. Further ones are answered with status 503."""
     max_connections: PositiveInt = 128
-    """Maximum number of open connections of all clients."""
+    """Maximum number of open connections of all clients. A further one ends that which has waited
+    longest for its client, and is answered with status 503 if none waits."""
 
 
 @dataclass(frozen=True)

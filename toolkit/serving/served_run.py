@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -21,6 +20,8 @@ from toolkit.exports.scene_graph import scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
+from toolkit.io.guarded.content import read_content
+from toolkit.io.guarded.documents import parse_json
 from toolkit.io.images import encode_png
 from toolkit.io.length_names import LengthNames
 from toolkit.io.visualisation import colour_image
@@ -294,7 +295,7 @@ class ServedRun:
 def _read_metrics(path: Path) -> dict[str, Any] | None:
     """Read metrics.json, None if it is missing or damaged: the run can be used without it."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=lambda _: None)
+        content = parse_json(read_content(path), constant=lambda _: None)
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) else None

@@ -31,6 +31,7 @@ def serve(
 
             from toolkit.serving.admission import Computations
             from toolkit.serving.application import build_application
+            from toolkit.serving.connections import bounded_protocol
         except ModuleNotFoundError as error:
             raise DependencyError(
                 f"semsplat serve needs {error.name}: pip install 'semsplat[server]'"
@@ -42,7 +43,7 @@ def serve(
         local = is_local(bound.getsockname()[0])
         config = uvicorn.Config(
             build_application(run, limits, computations, local),
-            http="h11",
+            http=bounded_protocol(limits.max_connections),
             ws="none",
             lifespan="off",
             access_log=False,
@@ -50,7 +51,6 @@ def serve(
             server_header=False,
             # The address of a client is that of its connection: a header could be forged.
             proxy_headers=False,
-            limit_concurrency=limits.max_connections,
             timeout_keep_alive=15,
             timeout_graceful_shutdown=5,
         )

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
+from toolkit.io.guarded.documents import parse_json
 from toolkit.semantics.taxonomy_parsing import folded
 
 
@@ -82,7 +83,7 @@ def read_shape_table(path: str | Path) -> GivenShapes:
 
 
 def _json_rows(text: str) -> list[tuple[str, list[Any]]]:
-    values = json.loads(text)
+    values = parse_json(text)
     if not isinstance(values, dict):
         return []
     return [(name, v if isinstance(v, list) else []) for name, v in values.items()]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from toolkit.errors import FormatError
 from toolkit.exports.mapped_scene import MappedScene
+from toolkit.io.guarded.documents import read_json
 from toolkit.viewer.scene import ShownObject
 
 _SIGNS = np.array([corner[::-1] for corner in itertools.product((-0.5, 0.5), repeat=3)])
@@ -81,7 +81,7 @@ def read_graph_objects(file: Path) -> tuple[ShownObject, ...]:
         FormatError: the file is damaged.
     """
     try:
-        return graph_objects(json.loads(file.read_text(encoding="utf-8")))
+        return graph_objects(read_json(file))
     except FileNotFoundError:
         return ()
     except (OSError, ValueError, KeyError, TypeError) as error:

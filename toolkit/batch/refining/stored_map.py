@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from toolkit.errors import FormatError, RunFolderError, SettingsError
 from toolkit.geometry import se3
 from toolkit.io import storage
 from toolkit.io.arrays import arrays_below
+from toolkit.io.guarded.documents import parse_json
 from toolkit.io.splats import is_splat_file
 from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.runs.settings import RunSettings, load_settings
@@ -127,7 +127,7 @@ def read_json(place: str) -> dict[str, Any]:
         FormatError: the file is damaged.
     """
     try:
-        content = json.loads(storage.read_bytes(place))
+        content = parse_json(storage.read_bytes(place))
     except ValueError as error:
         raise FormatError(f"{place} is not JSON ({error}); run again") from error
     if not isinstance(content, dict):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -24,6 +23,9 @@ from toolkit.errors import DatasetError
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.io.exr import read_exr
+from toolkit.io.guarded.arrays import read_array
+from toolkit.io.guarded.content import read_content
+from toolkit.io.guarded.images import decoded
 from toolkit.io.images import read_labels
 from toolkit.io.user_files import visible
 
@@ -112,17 +114,15 @@ def read_map(file: Path, png_scale: float) -> Image:
     suffix = file.suffix.lower()
     try:
         if suffix == ".npy":
-            values = np.load(file, allow_pickle=False)
+            values = read_array(file)
         elif suffix == ".png":
             return read_labels(file).astype(np.float32) / np.float32(png_scale)
         elif suffix == ".exr":
             values = read_exr(file, "depth-priors")
         else:
-            values = cv2.imread(os.fsencode(file), cv2.IMREAD_UNCHANGED)
-    except (OSError, ValueError, EOFError) as error:
+            values = decoded(read_content(file), cv2.IMREAD_UNCHANGED)
+    except (OSError, ValueError) as error:
         raise DatasetError(f"depth map {file} is unreadable ({error}); write it again") from error
-    if values is None:
-        raise DatasetError(f"depth map {file} is unreadable; write it again")
     values = np.squeeze(values)
     if values.ndim != 2 or values.dtype.kind not in "fiu":
         raise DatasetError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from toolkit.features.pretrained.loading import (
     load_model,
 )
 from toolkit.frame import Frame
+from toolkit.io.guarded.documents import read_json
 
 # What the output of an architecture means. For both kinds of Depth Anything, it is in the
 # configuration. Depth Pro is in `_DEPTH_PRO`.
@@ -128,7 +128,7 @@ class _DepthProProcessor:
     def __init__(self, folder: Path) -> None:
         file = folder / "preprocessor_config.json"
         try:
-            values = json.loads(file.read_text(encoding="utf-8"))
+            values = read_json(file)
             self._size = int(values["size"]["width"]), int(values["size"]["height"])
             self._mean = np.array(values["image_mean"], np.float32)
             self._std = np.array(values["image_std"], np.float32)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -13,6 +12,7 @@ from typing import Any
 import torch
 
 from toolkit.errors import DependencyError, FormatError
+from toolkit.io.guarded.documents import read_json
 
 _REMEDY = "pip install 'semsplat[semantics]'"
 _MAX_REASON_LENGTH = 200
@@ -112,7 +112,7 @@ def model_type(folder: Path) -> str:
     check_folder(folder)
     file = folder / "config.json"
     try:
-        found = json.loads(file.read_text(encoding="utf-8")).get("model_type")
+        found = read_json(file).get("model_type")
     except (OSError, ValueError, AttributeError) as error:
         raise FormatError(f"{file} cannot be read ({error}); download it again") from error
     if not isinstance(found, str):

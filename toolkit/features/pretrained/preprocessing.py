@@ -5,7 +5,6 @@ The processors of some models need torchvision, or files of a server; this needs
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import torch
 from torch import Tensor
 
 from toolkit.errors import FormatError
+from toolkit.io.guarded.documents import read_json
 
 # Newer versions of transformers write all processors into the second file.
 _FILES = ("preprocessor_config.json", "processor_config.json")
@@ -52,7 +52,7 @@ class ImagePreprocessing:
                 f"{folder} has no {_FILES[0]}, which says how images are prepared; download it too"
             )
         try:
-            values = json.loads(file.read_text(encoding="utf-8"))
+            values = read_json(file)
             values = values.get("image_processor", values)
             size = values.get("size") or {}
             if isinstance(size, int):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from toolkit.errors import DependencyError, FormatError
 from toolkit.frame import Frame
 from toolkit.io.atomic import replacing
+from toolkit.io.guarded.documents import parse_json
 from toolkit.semantics.segmenters.patch_features import PatchEncoder
 from toolkit.semantics.segmenters.transformers_models import confident_labels
 
@@ -88,7 +89,7 @@ class LinearHead:
                 if header.get("format") != _FORMAT:
                     raise ValueError(f"the format is {header.get('format')!r}, not {_FORMAT!r}")
                 weights, bias = file.get_tensor("weights"), file.get_tensor("bias")
-            names = tuple(str(name) for name in json.loads(header["classes"]))
+            names = tuple(str(name) for name in parse_json(header["classes"]))
             side = int(header["longest_side"])
             return cls(weights.float(), bias.float(), names, header["encoder"], side)
         except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:

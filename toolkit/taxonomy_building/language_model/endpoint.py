@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 import time
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.errors import SettingsError
+from toolkit.io.guarded.documents import parse_json
 from toolkit.taxonomy_building.language_model.chat import (
     ChatAnswer,
     ChatRequest,
@@ -188,7 +188,7 @@ class Endpoint:
             NoModelError: the response is not a chat completion.
         """
         try:
-            values = json.loads(body)
+            values = parse_json(body)
             if values.get("error"):
                 code = values["error"].get("code")
                 raise status_error(code if isinstance(code, int) else 400, body)

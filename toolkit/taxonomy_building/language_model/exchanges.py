@@ -11,6 +11,7 @@ from typing import Any, get_args
 
 from toolkit.errors import FormatError, SettingsError
 from toolkit.io.atomic import cannot_write, write_bytes
+from toolkit.io.guarded.documents import read_json
 from toolkit.taxonomy_building.language_model.chat import (
     ChatAnswer,
     ChatModel,
@@ -52,7 +53,7 @@ class CachedModel:
         file = self._folder / f"{_key(self.identity, request)}.json"
         if file.exists():
             try:
-                return _answer(json.loads(file.read_text(encoding="utf-8"))["answer"])
+                return _answer(read_json(file)["answer"])
             except (OSError, ValueError, KeyError, TypeError):
                 logger.warning("Cache file %s is damaged; sending the request again.", file)
         answer = self._model.complete(request)
@@ -94,7 +95,7 @@ class ReplayedModel:
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = read_json(path)
             if record["format"] != _FORMAT:
                 raise ValueError(f"the format is {record['format']!r}, not {_FORMAT!r}")
             self._identity = ModelIdentity(record["base_url"], record["model"])

@@ -1,0 +1,91 @@
+"""What the layers of a USD file refer to, before they are composed.
+
+Composition opens every file that a layer names, and repeats what references repeat: a few nested
+ones make more prims than any computer can hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from toolkit.io.guarded.content import DamagedError, read_content
+
+# Prims of a composed stage, and layers that it consists of.
+_MAX_PRIMS, _MAX_LAYERS = 1_000_000, 1000
+
+
+def check_layers(pxr: Any, path: Path) -> None:
+    """Check the layers that a file consists of.
+
+    Raises:
+        DamagedError: one cannot be read or lies outside of the folder of the file; or they make
+            too many prims, or refer to themselves.
+    """
+    layers = _Layers(pxr, path.resolve())
+    root = layers.opened(str(path), None)
+    count = sum(layers.prims(root, prim) for prim in root.rootPrims)
+    if count > _MAX_PRIMS:
+        raise DamagedError(f"it makes more than {_MAX_PRIMS:,} prims")
+
+
+class _Layers:
+    """The layers of a file, each opened once."""
+
+    def __init__(self, pxr: Any, path: Path) -> None:
+        self._sdf, self._path = pxr.Sdf, path
+        self._opened: dict[str, Any] = {}
+        self._prims: dict[tuple[str, str], int] = {}
+
+    def opened(self, name: str, beside: Any) -> Any:
+        """The layer of a name in another layer, with those that are merged into it."""
+        where = name if beside is None else beside.ComputeAbsolutePath(name)
+        if where in self._opened:
+            return self._opened[where]
+        file = Path(where.partition("[")[0]).resolve()
+        if file != self._path and self._path.parent not in file.parents:
+            raise DamagedError(f"it refers to {name!r}, outside of its folder")
+        if len(self._opened) >= _MAX_LAYERS:
+            raise DamagedError(f"it consists of more than {_MAX_LAYERS} files")
+        if beside is not None:
+            read_content(file)
+        layer = self._sdf.Layer.FindOrOpen(where)
+        if layer is None:
+            raise DamagedError(f"{name!r} cannot be read")
+        self._opened[where] = layer
+        for other in layer.subLayerPaths:
+            self.opened(other, layer)
+        return layer
+
+    def prims(self, layer: Any, prim: Any) -> int:
+        """An upper limit of the prims that a prim of a layer makes."""
+        key = layer.identifier, str(prim.path)
+        if self._prims.get(key) == 0:
+            raise DamagedError(f"{prim.path} refers to itself")
+        if key not in self._prims:
+            self._prims[key] = 0  # until it is counted
+            inner = sum(self.prims(*each) for each in self._parts(layer, prim))
+            self._prims[key] = min(1 + inner, _MAX_PRIMS + 1)
+        return self._prims[key]
+
+    def _parts(self, layer: Any, prim: Any) -> Iterator[tuple[Any, Any]]:
+        """The children of a prim in all variants, and the prims that it repeats, by layer."""
+        yield from ((layer, child) for child in prim.nameChildren)
+        for variants in prim.variantSets.values():
+            yield from ((layer, variant.primSpec) for variant in variants.variants.values())
+        for references in (prim.referenceList, prim.payloadList):
+            for reference in references.GetAddedOrExplicitItems():
+                other = self.opened(reference.assetPath, layer) if reference.assetPath else layer
+                yield from self._at(other, reference.primPath or f"/{other.defaultPrim}")
+        for paths in (prim.inheritPathList, prim.specializesList):
+            for path in paths.GetAddedOrExplicitItems():
+                yield from self._at(layer, path)
+
+    def _at(self, layer: Any, path: Any) -> Iterator[tuple[Any, Any]]:
+        """A prim by its path, in a layer and in those that are merged into it."""
+        found = layer.GetPrimAtPath(path)
+        if found is not None:
+            yield layer, found
+        for name in layer.subLayerPaths:
+            yield from self._at(self.opened(name, layer), path)
