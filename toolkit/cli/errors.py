@@ -9,9 +9,10 @@ import logging
 import os
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from toolkit.errors import ToolkitError
+from toolkit.errors import DependencyError, SettingsError, ToolkitError
 from toolkit.io.printable import PrintableStream, printable
 
 logger = logging.getLogger(__name__)
@@ -31,6 +32,9 @@ _REMEDIES = {
     errno.EMFILE: "raise the limit with: ulimit -n 4096",
 }
 
+# What the loader of libraries reports if memory is limited.
+_NO_ADDRESSES = ("failed to map segment", "annot allocate memory")
+
 
 def one_line_errors(job: Callable[[], int]) -> int:
     """Run a job; report errors that the user can fix in one line and return the exit status.
@@ -45,6 +49,7 @@ def one_line_errors(job: Callable[[], int]) -> int:
     shown: Any = PrintableStream(sys.stdout)
     try:
         with contextlib.redirect_stdout(shown):
+            _check_folder()
             status = job()
         sys.stdout.flush()  # errors of flushing are caught here
         return status
@@ -65,8 +70,25 @@ def one_line_errors(job: Callable[[], int]) -> int:
         return USER_ERROR
 
 
+def _check_folder() -> None:
+    """Check that there is a working folder; without, libraries end the process.
+
+    Raises:
+        SettingsError: it was removed.
+    """
+    try:
+        Path.cwd()
+    except OSError as error:
+        raise SettingsError(
+            f"the working folder cannot be used ({error.strerror}); change to another one with cd"
+        ) from error
+
+
 def explain(error: Exception) -> str | None:
     """Return one line with the remedy, or None for programming errors."""
+    is_library = isinstance(error, (ImportError, DependencyError))
+    if is_library and any(text in str(error) for text in _NO_ADDRESSES):
+        return "a library cannot be loaded in the memory that is left; raise the limit: ulimit -v"
     if isinstance(error, ToolkitError):
         return _one_line(str(error))
     if isinstance(error, ModuleNotFoundError) and not _is_own_module(error.name):

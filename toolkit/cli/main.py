@@ -58,6 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     verbose = "--verbose" in arguments
     arguments = [argument for argument in arguments if argument != "--verbose"]
+    return one_line_errors(lambda: _started(arguments, verbose))
+
+
+def _started(arguments: list[str], verbose: bool) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_help())
         return 0 if arguments else 2
@@ -65,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"semsplat {__version__}")
         return 0
     _set_up_logging(verbose)
-    return one_line_errors(lambda: _run_job(arguments[0], arguments[1:]))
+    return _run_job(arguments[0], arguments[1:])
 
 
 def _run_job(job: str, argv: list[str]) -> int:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError
-from toolkit.io.atomic import cannot_write, replacing, sync
+from toolkit.io.atomic import cannot_write, replacing, sync, umask
 from toolkit.io.guarded.arrays import read_arrays
 from toolkit.io.guarded.documents import read_json
 
@@ -112,7 +112,7 @@ def write_array_tree(
         (temporary / _METADATA).write_text(text + "\n", encoding="utf-8")
         sync(temporary / _METADATA)
         sync(temporary)
-        temporary.chmod(0o755)
+        temporary.chmod(0o777 & ~umask())
         _put_in_place(temporary, folder)
     except OSError as error:
         raise cannot_write(folder, error) from error

@@ -41,7 +41,7 @@ def replacing(path: str | os.PathLike[str], size: int = 0) -> Iterator[Path]:
         yield temporary
         _check_room(temporary)
         # mkstemp creates private files; results get the default permissions.
-        temporary.chmod(0o666 & ~_umask())
+        temporary.chmod(0o666 & ~umask())
         sync(temporary)
         os.replace(temporary, path)
     except OSError as error:
@@ -127,7 +127,8 @@ def cannot_write(path: Path, error: OSError) -> RunFolderError:
     )
 
 
-def _umask() -> int:
+def umask() -> int:
+    """The permissions that the user's new files lack."""
     # Python can only read the mask by setting it.
     mask = os.umask(0)
     os.umask(mask)
