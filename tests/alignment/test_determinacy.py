@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.alignment.backend import linearise
 from toolkit.alignment.data import FrameLevel, LevelProblem, ResidualScales
-from toolkit.alignment.determinacy import UNITS, Determinacy, determinacy
+from toolkit.alignment.determinacy import UNITS, Determinacy, _valley, determinacy
 from toolkit.alignment.levels import model_level
 from toolkit.exposure import IDENTITY
 from toolkit.geometry import se3
@@ -68,6 +71,29 @@ def test_the_information_is_that_of_the_frames_own_axes():
     adjoint = se3.adjoint(T)
     expected = adjoint.T @ found.in_frame(np.eye(4)) @ adjoint
     np.testing.assert_allclose(found.in_frame(T), expected, rtol=1e-6, atol=1e-6 * expected.max())
+
+
+def test_a_direction_that_is_not_quite_along_stripes_leads_to_the_one_that_is():
+    x, _ = columns_and_rows()
+    model, frame = (wall(seed, 0.2 * np.sin(0.3 * x)) for seed in (0, 1))
+    problem = LevelProblem(model_level(model), frame, np.eye(4), SCALES, IDENTITY, 0.1)
+    directions = np.diag(UNITS)
+    slanted = directions[ALONG] + 0.3 * directions[0]
+    cost = linearise(problem).cost
+    rigid = linearise(replace(problem, T_model_frame=se3.exp(slanted))).cost / cost - 1.0
+    found, rise = _valley(problem, cost, slanted, np.delete(directions, ALONG, axis=0))
+    assert rigid > 0.5
+    assert rise < 0.05
+    assert abs(found[ALONG]) > 0.95 * UNITS[ALONG]
+    assert abs(found[0]) < 0.1 * abs(slanted[0])
+
+
+def test_the_rest_of_the_pose_does_not_explain_a_displacement_across_texture():
+    x, y = columns_and_rows()
+    texture = 0.1 * (np.sin(0.31 * x + 0.11 * y) + np.sin(0.23 * y - 0.07 * x))
+    model, frame = model_level(wall(0, texture)), wall(1, texture)
+    problem = LevelProblem(model, frame, np.eye(4), SCALES, IDENTITY, 0.1)
+    assert determinacy(problem, refit=True).rises.min() > 0.03
 
 
 def test_nothing_in_common_determines_nothing():
