@@ -43,7 +43,8 @@ class _Layers:
         where = name if beside is None else beside.ComputeAbsolutePath(name)
         if where in self._opened:
             return self._opened[where]
-        file = Path(where.partition("[")[0]).resolve()
+        # Names without ./ that are not found stay as they are.
+        file = (self._path.parent / where.partition("[")[0]).resolve()
         if file != self._path and self._path.parent not in file.parents:
             raise DamagedError(f"it refers to {name!r}, outside of its folder")
         if len(self._opened) >= _MAX_LAYERS:
