@@ -7,7 +7,6 @@ similar shapes. The providers in this package return vectors in a metric space.
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import FormatError
 from toolkit.io.guarded.documents import parse_json
+from toolkit.io.user_files import read_text
 from toolkit.semantics.taxonomy_parsing import folded
 
 
@@ -59,9 +59,9 @@ def read_shape_table(path: str | Path) -> GivenShapes:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
         rows = _json_rows(text) if path.suffix == ".json" else _csv_rows(text)
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise FormatError(f"{path}: cannot be read as a table of shapes ({error})") from error
     if not rows:
         raise FormatError(

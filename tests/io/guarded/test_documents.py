@@ -125,3 +125,7 @@ def test_reasons_are_short_and_printable():
         parse_yaml("a: [\x1b[31m" + "x" * 10_000)
     text = str(caught.value)
     assert len(text) <= 203 and text.isprintable()
+
+
+def test_answers_of_models_may_contain_any_character():
+    assert parse_json('["\\u0000 \\ud800"]', any_characters=True) == ["\0 \ud800"]

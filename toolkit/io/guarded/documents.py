@@ -27,22 +27,31 @@ _FLOAT = re.compile(
 _MERGE = "tag:yaml.org,2002:merge"
 
 
-def read_json(path: PathLike) -> Any:
+def read_json(path: PathLike, any_characters: bool = False) -> Any:
     """Read a JSON file.
+
+    Args:
+        any_characters: as of `parse_json`.
 
     Raises:
         OSError: it cannot be read.
         DamagedError: as of `parse_json`; it is too large, or not UTF-8.
     """
     with damage():
-        return parse_json(read_text(path, _MAX_JSON))
+        return parse_json(read_text(path, _MAX_JSON), any_characters=any_characters)
 
 
-def parse_json(text: str | bytes, constant: Callable[[str], Any] | None = None) -> Any:
+def parse_json(
+    text: str | bytes,
+    constant: Callable[[str], Any] | None = None,
+    any_characters: bool = False,
+) -> Any:
     """Parse JSON.
 
     Args:
         constant: called with NaN, Infinity and -Infinity; by default they are numbers.
+        any_characters: texts may contain NUL and halves of surrogate pairs, as answers of language
+            models that end within a character do.
 
     Raises:
         DamagedError: it is no JSON, nests too deeply, gives a key twice, or contains a number or a
@@ -56,7 +65,7 @@ def parse_json(text: str | bytes, constant: Callable[[str], Any] | None = None) 
         values = json.loads(
             text, object_pairs_hook=_unique, parse_int=integer, parse_constant=constant
         )
-        _check_values(values)
+        _check_values(values, any_characters=any_characters)
         return values
 
 
@@ -135,7 +144,9 @@ def _integer(digits: str) -> int:
     return int(digits)
 
 
-def _check_values(values: Any, max_values: float = math.inf) -> None:
+def _check_values(
+    values: Any, max_values: float = math.inf, any_characters: bool = False
+) -> None:
     """Check the depth, the number and the characters of nested values."""
     left, count = [(values, 0)], 0
     while left:
@@ -144,7 +155,8 @@ def _check_values(values: Any, max_values: float = math.inf) -> None:
             raise DamagedError(f"it nests more than {_MAX_DEPTH} values in each other")
         inner = [*value, *value.values()] if isinstance(value, dict) else value
         if isinstance(inner, str):
-            _check_characters(inner)
+            if not any_characters:
+                _check_characters(inner)
         elif isinstance(inner, list):
             count += len(inner)
             if count > max_values:

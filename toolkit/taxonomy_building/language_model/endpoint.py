@@ -188,7 +188,7 @@ class Endpoint:
             NoModelError: the response is not a chat completion.
         """
         try:
-            values = parse_json(body)
+            values = parse_json(body, any_characters=True)
             if values.get("error"):
                 code = values["error"].get("code")
                 raise status_error(code if isinstance(code, int) else 400, body)

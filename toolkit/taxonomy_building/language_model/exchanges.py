@@ -53,7 +53,7 @@ class CachedModel:
         file = self._folder / f"{_key(self.identity, request)}.json"
         if file.exists():
             try:
-                return _answer(read_json(file)["answer"])
+                return _answer(read_json(file, any_characters=True)["answer"])
             except (OSError, ValueError, KeyError, TypeError):
                 logger.warning("Cache file %s is damaged; sending the request again.", file)
         answer = self._model.complete(request)
@@ -95,7 +95,7 @@ class ReplayedModel:
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            record = read_json(path)
+            record = read_json(path, any_characters=True)
             if record["format"] != _FORMAT:
                 raise ValueError(f"the format is {record['format']!r}, not {_FORMAT!r}")
             self._identity = ModelIdentity(record["base_url"], record["model"])
