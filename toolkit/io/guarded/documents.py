@@ -144,9 +144,7 @@ def _integer(digits: str) -> int:
     return int(digits)
 
 
-def _check_values(
-    values: Any, max_values: float = math.inf, any_characters: bool = False
-) -> None:
+def _check_values(values: Any, max_values: float = math.inf, any_characters: bool = False) -> None:
     """Check the depth, the number and the characters of nested values."""
     left, count = [(values, 0)], 0
     while left:
