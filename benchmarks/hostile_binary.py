@@ -109,7 +109,15 @@ def array_edits() -> dict[str, Edit]:
     }
     edits |= {
         f"type {dtype}": headed(form.format(dtype, "(16,)"))
-        for dtype in ("'O'", "'<U1000000000'", "'V0'", "[('a', '<f4')]", "'<c8'", "'zz'", "'<M8[s]'")
+        for dtype in (
+            "'O'",
+            "'<U1000000000'",
+            "'V0'",
+            "[('a', '<f4')]",
+            "'<c8'",
+            "'zz'",
+            "'<M8[s]'",
+        )
     }
     return edits | {
         "parentheses in the header": headed("(" * 5000),
@@ -202,7 +210,9 @@ def _with_bomb(content: bytes) -> bytes:
     name = next(iter(found), "a").encode()
     size = 3 * 2**30
     packed = _packed_zeros(size // _PART, raw=True)
-    head = struct.pack("<HHHHHIIIHH", 20, 0, 8, 0, 33, _crc_of_zeros(), len(packed), size, len(name), 0)
+    head = struct.pack(
+        "<HHHHHIIIHH", 20, 0, 8, 0, 33, _crc_of_zeros(), len(packed), size, len(name), 0
+    )
     rest = _zip(dict(list(found.items())[1:]))
     # The other members keep their places, so the new one lies between them and the list.
     with zipfile.ZipFile(io.BytesIO(rest)) as archive:

@@ -58,8 +58,12 @@ def main() -> None:
     """Try all areas with both commits."""
     options = tyro.cli(Options)
     description = DESCRIPTION.format(
-        **{"crafted": options.crafted, "mutated": options.mutated, "seed": options.seed},
-        **{"commit": options.commit, "limit_s": MAX_S, "limit_gb": MAX_BYTES // 2**30},
+        crafted=options.crafted,
+        mutated=options.mutated,
+        seed=options.seed,
+        commit=options.commit,
+        limit_s=MAX_S,
+        limit_gb=MAX_BYTES // 2**30,
     )
     report = Report("hostile-files", "Damaged and hostile files", description, options)
     names = ("commit", "crafted", "mutated", "seed")
@@ -71,7 +75,7 @@ def main() -> None:
             return {name: _tried(worker, job) for name, worker in workers.items()}
 
         rows = {area: runs[0] for area, runs in report.measured(jobs, measure).items()}
-        report.write(_table(rows), *(_failures(rows, name) for name in workers))
+        report.write(counted(rows), *(by_cause(rows, name) for name in workers))
 
 
 @contextmanager
@@ -185,7 +189,7 @@ def _by_command(tree: Path, name: str, sample: Sample) -> list[Metrics]:
         ]
 
 
-def _table(rows: dict[str, Metrics]) -> Table:
+def counted(rows: dict[str, Metrics]) -> Table:
     """Attempts, passed and failed of each area and of all."""
     names = list(next(iter(rows.values()))) if rows else [_NOW]
     columns = ["area", "attempts"]
@@ -205,7 +209,7 @@ def _table(rows: dict[str, Metrics]) -> Table:
     return Table(tuple(columns), tuple(cells))
 
 
-def _failures(rows: dict[str, Metrics], name: str) -> Table:
+def by_cause(rows: dict[str, Metrics], name: str) -> Table:
     """The failures of a commit by cause, with an example of each."""
     found: dict[tuple[str, str], list[Metrics]] = {}
     for area, metrics in rows.items():

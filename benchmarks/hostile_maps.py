@@ -149,7 +149,7 @@ def write_coco(folder: Path) -> None:
     shapes = [
         [[1, 1, 9, 1, 9, 9]],
         {"size": size, "counts": [100, 50, HEIGHT * WIDTH - 150]},
-        {"size": size, "counts": "T3b1g0"},
+        {"size": size, "counts": "T3b1Zc0"},
     ]
     image = {"id": 1, "file_name": "000000.png", "height": HEIGHT, "width": WIDTH}
     annotations = [

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from toolkit.geometry import se3
 from toolkit.io import images
 
-FRAMES, WIDTH, HEIGHT = 3, 32, 24
+FRAMES, WIDTH, HEIGHT = 2, 32, 24
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _CLASSES = {
     "void": 0,
@@ -260,7 +260,9 @@ def bag_writer(storage: str) -> Callable[[Path], None]:
     return write
 
 
-def _messages(types: Mapping[str, Any], numbered: Mapping[str, int]) -> list[tuple[str, float, Any]]:
+def _messages(
+    types: Mapping[str, Any], numbered: Mapping[str, int]
+) -> list[tuple[str, float, Any]]:
     """Camera info, raw colour, compressed depth and PNG colour."""
 
     def header(time_s: float) -> Any:
@@ -311,7 +313,11 @@ def _messages(types: Mapping[str, Any], numbered: Mapping[str, int]) -> list[tup
 def _record3d_metadata() -> dict[str, Any]:
     poses = [pose(i) @ _OPENGL for i in range(FRAMES)]
     return {
-        **{"w": 2 * HEIGHT, "h": 2 * WIDTH, "dw": HEIGHT, "dh": WIDTH, "fps": 30},
+        "w": 2 * HEIGHT,
+        "h": 2 * WIDTH,
+        "dw": HEIGHT,
+        "dh": WIDTH,
+        "fps": 30,
         "K": [60.0, 0, 0, 0, 62.0, 0, 24.0, 32.0, 1],
         "perFrameIntrinsicCoeffs": [[60.0, 62.0, 24.0, 32.0]] * FRAMES,
         "frameTimestamps": [5.0 + 0.04 * i for i in range(FRAMES)],

@@ -35,6 +35,7 @@ class Sample:
         special: attacks of this format only, by name: each changes the folder.
         files: names of the files to attack, as patterns; by default, all.
         command: words of a job that reads it, for FOLDER; empty if `read` calls one.
+        named: what messages name instead of the file.
     """
 
     area: str
@@ -44,6 +45,7 @@ class Sample:
     special: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
     files: tuple[str, ...] = ("*",)
     command: tuple[str, ...] = ()
+    named: str = ""
 
 
 class RefusedError(Exception):
@@ -145,7 +147,9 @@ def _answer(path: Path) -> None:
 
     with answering(path) as address:
         identity, chance = ModelIdentity(address, "m"), np.random.default_rng(0)
-        endpoint = Endpoint(identity, "", chance, RetryOptions(max_attempts=1))
+        endpoint = Endpoint(
+            identity, "", chance, RetryOptions(request_timeout_s=8.0, max_attempts=1)
+        )
         endpoint.complete(ChatRequest("system", "user", {"type": "object"}))
 
 
@@ -187,6 +191,7 @@ def _depth_map(path: Path) -> None:
 
 
 def _models(folder: Path) -> None:
+    from toolkit.errors import FormatError
     from toolkit.evaluation.lpips import Lpips
     from toolkit.features.pretrained.loading import model_type
     from toolkit.features.pretrained.preprocessing import ImagePreprocessing
@@ -195,8 +200,11 @@ def _models(folder: Path) -> None:
     ImagePreprocessing.load(folder)
     model_type(folder)
     LinearHead.load(folder / "head.safetensors")
-    with contextlib.suppress(KeyError):
+    try:
         Lpips.load((folder / "lpips.pth",))
+    except FormatError as error:
+        if "features.0.weight is missing" not in str(error):
+            raise
 
 
 def _plan(path: Path) -> None:
@@ -274,9 +282,7 @@ def _samples() -> dict[str, Sample]:
         "film": _recording(
             "video", r.write_film, "film.mp4", "films and photos", needs_depth=False
         ),
-        "photos": _recording(
-            "images", r.write_photos, area="films and photos", needs_depth=False
-        ),
+        "photos": _recording("images", r.write_photos, area="films and photos", needs_depth=False),
     }
     for storage in ("ros1", "sqlite3", "mcap"):
         name = "recording.bag" if storage == "ros1" else "recording"
@@ -299,7 +305,10 @@ def _other_samples() -> dict[str, Sample]:
     tables = {"shapes.json": _shapes, "shapes.csv": _shapes}
     depth_maps = dict.fromkeys(("a.npy", "b.png", "c.tif", "d.exr"), _depth_map)
     settings = {"settings.yaml": _settings, "plan.yaml": _plan}
-    run_words = ("run", "--resume", "--out", "FOLDER/run")
+    run_words = (
+        *("run", "--resume", "--config", "FOLDER/run/config.yaml", "--out", "FOLDER/run"),
+        *("--dataset.path", "FOLDER/data"),
+    )
     classes = "classes and trees"
     return {
         "class lists": Sample(classes, maps.write_class_lists, each(names)),
@@ -315,7 +324,10 @@ def _other_samples() -> dict[str, Sample]:
             classes,
             maps.write_answer,
             each({"answer.json": _answer}),
-            special={"an answer of 20 GB": lambda folder: os.truncate(folder / "answer.json", _LARGE)},
+            named="http://127.0.0.1",
+            special={
+                "an answer of 20 GB": lambda folder: os.truncate(folder / "answer.json", _LARGE)
+            },
         ),
         "exchanges": Sample(classes, maps.write_exchanges, each({"exchanges.json": _exchanges})),
         "masks": Sample("masks and objects", maps.write_masks, _masks),

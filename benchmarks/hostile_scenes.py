@@ -21,7 +21,9 @@ def ply_edits() -> dict[str, Edit]:
         return lambda content, _: re.sub(pattern.encode(), text.encode(), content, count=1)
 
     counts = ("1000000000000", "4294967295", "-1", "1e9", "9" * 400, "9" * 6000, "0")
-    edits = {f"{n[:20]} vertices": headed(r"element vertex \d+", f"element vertex {n}") for n in counts}
+    edits = {
+        f"{n[:20]} vertices": headed(r"element vertex \d+", f"element vertex {n}") for n in counts
+    }
     return edits | {
         "text": headed(r"binary_little_endian", "ascii"),
         "big-endian": headed(r"binary_little_endian", "binary_big_endian"),
@@ -69,9 +71,7 @@ def _many_prims(levels: int) -> str:
     """Prims that each refer ten times to the next one."""
     parts = []
     for level in range(levels):
-        inside = "".join(
-            f'  def "r{k}" (references = </n{level + 1}>) {{}}\n' for k in range(10)
-        )
+        inside = "".join(f'  def "r{k}" (references = </n{level + 1}>) {{}}\n' for k in range(10))
         parts.append(f'def "n{level}" {{\n{inside}}}\n')
     return "\n" + "".join(parts) + f'def "n{levels}" {{}}\n'
 

@@ -12,6 +12,8 @@ from toolkit.io.guarded.content import DamagedError
 
 # As many as a photograph of 8192x8192 pixels, 0.8 GB as numbers of 32 bits.
 MAX_PIXELS = 2**26
+# As many as such an image has with four channels of 16 bits.
+MAX_IMAGE_BYTES = 2**29
 # The header of a JPEG may follow a thumbnail, a profile of colours and notes.
 _HEADER = 2**22
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
