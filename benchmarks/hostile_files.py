@@ -112,7 +112,7 @@ class Worker:
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.write(json.dumps([sample, crafted, mutated, seed]) + "\n")
         self._process.stdin.flush()
-        found = []
+        found: list[Metrics] = []
         for line in self._process.stdout:
             outcome = json.loads(line.removeprefix("outcome ")) if "outcome " in line else {}
             if outcome is None:

@@ -80,7 +80,7 @@ def write_killed_run(folder: Path) -> None:
     """A run that still has its checkpoints."""
     from toolkit.runs.session import Session
 
-    Session.close_results = lambda _: None  # type: ignore[method-assign]
+    Session.close_results = lambda _: None  # type: ignore[method-assign, assignment]
     _run(folder, ())
 
 

@@ -24,7 +24,7 @@ _CLASSES = {
     "classes": {"1": "wall", "2": "chair"},
     "colours": {"1": [9, 9, 9], "2": [200, 0, 0]},
 }
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 
 def rgb(index: int, scale: int = 1) -> Array:
@@ -39,12 +39,12 @@ def depth_m(index: int, scale: int = 1) -> Array:
     return np.kron(values, np.ones((scale, scale)))
 
 
-def pose(index: int) -> Array:
+def pose(index: int) -> NDArray[np.float64]:
     """A moving and turning camera [4, 4]."""
     return se3.exp(np.array([0.1 * index, 0.0, 0.05 * index, 0.0, 0.02 * index, 0.0]))
 
 
-def tum_line(time_s: float, T: Array) -> str:
+def tum_line(time_s: float, T: NDArray[np.float64]) -> str:
     values = [time_s, *T[:3, 3], *se3.quaternion_xyzw(T[:3, :3])]
     return " ".join(map(str, values))
 
@@ -77,10 +77,9 @@ def write_tum(folder: Path) -> None:
     lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
     for i in range(FRAMES):
         time_s = 1341840000.0 + 0.1 * i
-        names = [f"{kind}/{time_s:.6f}.png" for kind in ("rgb", "depth")]
-        _images(folder, *names, i, 5000)
-        for kind, name in zip(("rgb", "depth"), names, strict=True):
-            lists[kind].append(f"{time_s:.6f} {name}")
+        _images(folder, f"rgb/{time_s:.6f}.png", f"depth/{time_s:.6f}.png", i, 5000)
+        for kind in ("rgb", "depth"):
+            lists[kind].append(f"{time_s:.6f} {kind}/{time_s:.6f}.png")
         lists["groundtruth"].append(tum_line(time_s, pose(i)))
     for kind, lines in lists.items():
         (folder / f"{kind}.txt").write_text("# comment\n" + "\n".join(lines) + "\n")
@@ -191,7 +190,7 @@ def write_colmap(folder: Path) -> None:
     rows = []
     for i in range(FRAMES):
         _images(folder, f"images/{i}.png", None, i, 1)
-        T = np.linalg.inv(pose(i))
+        T = se3.inverse(pose(i))
         x, y, z, w = se3.quaternion_xyzw(T[:3, :3])
         values = [i + 1, w, x, y, z, *T[:3, 3], 1, f"{i}.png"]
         rows.append(" ".join(map(str, values)) + "\n1.5 2.5 -1\n")
@@ -206,7 +205,7 @@ def write_colmap_binary(folder: Path) -> None:
     content = struct.pack("<Q", FRAMES)
     for i in range(FRAMES):
         _images(folder, f"images/{i}.png", None, i, 1)
-        T = np.linalg.inv(pose(i))
+        T = se3.inverse(pose(i))
         x, y, z, w = se3.quaternion_xyzw(T[:3, :3])
         content += struct.pack("<I7dI", i + 1, w, x, y, z, *T[:3, 3], 1) + f"{i}.png\0".encode()
         content += struct.pack("<Q2dq", 1, 1.5, 2.5, -1)

@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -169,7 +170,7 @@ def _coco(folder: Path) -> None:
     masks.masks(_keyframe())
 
 
-def _keyframe() -> object:
+def _keyframe() -> Any:
     from types import SimpleNamespace
 
     from toolkit.geometry.camera import Camera

@@ -7,6 +7,7 @@ its own with limits. A line of JSON is printed for each, and `null` after the la
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
 import random
@@ -153,7 +154,7 @@ def _ends(process: int, handle: int) -> bool:
     while time.monotonic() - begin < _WAITS * MAX_S:
         if select.select([handle], [], [], MAX_S)[0]:
             return True
-        times = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        times = Path(f"/proc/{process}/stat").read_text("utf-8").rpartition(")")[2].split()
         seconds = (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
         if seconds > MAX_S or seconds < _BUSY * (time.monotonic() - begin):
             return False
@@ -164,7 +165,7 @@ def _child(call: Callable[[], None], writing: int) -> None:
     """Make the call, and say what it raised."""
     status = 70
     try:
-        os.setpgid(0, 0)
+        faulthandler.disable()
         quiet = os.open(os.devnull, os.O_RDWR)
         for stream in (0, 1, 2):
             os.dup2(quiet, stream)
@@ -178,7 +179,7 @@ def _child(call: Callable[[], None], writing: int) -> None:
 def _said(call: Callable[[], None]) -> dict[str, str]:
     from toolkit.errors import ToolkitError
 
-    limit = _PAGE * int(Path("/proc/self/statm").read_text().split()[0]) + _ADDRESSES
+    limit = _PAGE * int(Path("/proc/self/statm").read_text("utf-8").split()[0]) + _ADDRESSES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
@@ -187,7 +188,7 @@ def _said(call: Callable[[], None]) -> dict[str, str]:
         return {"message": str(error)[:4096]}
     except MemoryError:
         return {"fault": "more than 2 GB"}
-    except BaseException as error:
+    except BaseException as error:  # noqa: BLE001 - whatever a reader raises is counted
         frame = error.__traceback__
         while frame is not None and frame.tb_next is not None:
             frame = frame.tb_next
@@ -197,7 +198,7 @@ def _said(call: Callable[[], None]) -> dict[str, str]:
 
 
 def _resident_bytes() -> int:
-    return _PAGE * int(Path("/proc/self/statm").read_text().split()[1])
+    return _PAGE * int(Path("/proc/self/statm").read_text("utf-8").split()[1])
 
 
 def main() -> None:

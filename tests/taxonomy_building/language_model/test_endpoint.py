@@ -305,7 +305,7 @@ def test_an_answer_without_end_is_not_read_to_its_end(fake, connect, monkeypatch
     for status in (200, 500):
         fake.behaviours = [lambda request, s=status: Response(body=" " * 20_000, status=s)]
         endpoint, waits = connect()
-        with pytest.raises(NoModelError, match="sent more than 9.77 KB as an answer"):
+        with pytest.raises(NoModelError, match=r"sent more than 9\.77 KB as an answer"):
             endpoint.complete(REQUEST)
         assert waits == []
 

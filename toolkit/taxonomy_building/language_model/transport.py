@@ -140,7 +140,7 @@ def _limited(response: Any, base_url: str) -> Any:
     library = sys.modules[type(response).__module__.partition(".")[0]]
     stream = response.stream
 
-    class Limited(library.AsyncByteStream):  # type: ignore[name-defined, misc]
+    class Limited(library.AsyncByteStream):  # type: ignore[name-defined]
         async def __aiter__(self) -> AsyncIterator[bytes]:
             count = 0
             async for part in stream:
