@@ -140,7 +140,10 @@ def _with_value(value: Any, load: Callable[[Any], Any], dump: Callable[[Any], st
     """Replaces one value of a document."""
 
     def edit(content: bytes, chance: random.Random) -> bytes:
-        whole = load(content)
+        try:
+            whole = load(content)
+        except ValueError:  # no document, or several lines of them
+            return dump(value).encode()
         places = list(_places(whole))
         if not places:
             return dump(value).encode()
