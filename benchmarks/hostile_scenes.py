@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import re
 import struct
 from collections.abc import Callable
@@ -77,10 +78,12 @@ def _many_prims(levels: int) -> str:
 
 
 def many_class_names(count: int, name: str) -> Callable[[Path], None]:
-    """Writes that many names of classes, one a line."""
+    """Writes that many names of classes that no vocabulary has, one a line."""
 
     def change(folder: Path) -> None:
-        (folder / name).write_text("\n".join(f"thing {k}" for k in range(count)))
+        chance, letters = random.Random(0), "abcdefghijklmnopqrstuvwxyz"
+        names = {"".join(chance.choices(letters, k=chance.randint(8, 16))) for _ in range(count)}
+        (folder / name).write_text("\n".join(sorted(names)))
 
     return change
 
