@@ -40,8 +40,8 @@ _EDITS: Mapping[str, Callable[[], dict[str, Edit]]] = {
     ".usda": usd_edits,
     **dict.fromkeys((".depth", ".conf"), depth_edits),
 }
-# What must not be read without an error, whatever the file is.
-_MUST_FAIL = ("a key given twice", "to the base of 60")
+# What must not be read without an error.
+_TWICE, _TO_THE_BASE_OF_60 = "a key given twice", "to the base of 60"
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,9 @@ def _edited(name: str, title: str, edit: Edit, seed: int) -> Attempt:
     def change(path: Path) -> None:
         path.write_bytes(edit(path.read_bytes(), random.Random(seed)))
 
-    is_wrong = any(title.endswith(each) for each in _MUST_FAIL)
+    # A text of this form may be the name of a class.
+    numbers = name.endswith(("intrinsics.yaml", "film.yaml"))
+    is_wrong = title.endswith(_TWICE) or (numbers and title.endswith(_TO_THE_BASE_OF_60))
     return Attempt(f"{name}: {title}", name, change, is_wrong)
 
 

@@ -183,12 +183,15 @@ def _by_command(tree: Path, name: str, sample: Sample) -> list[Metrics]:
             text=True,
             check=False,
         )
+        names = [largest.name, largest.parent.name, folder.name]
         lines = (done.stdout + done.stderr).strip().splitlines() or [""]
+        # Jobs that list faults end with their number.
+        lines += [line for line in lines if largest.name in line]
         fault = "" if done.returncode in (0, 1, 2) else f"exit status {done.returncode}"
         if not fault and "Traceback" in done.stderr:
             fault = "a traceback"
         message = lines[-1].replace(temporary, "")
-        fault = fault or message_fault(message, [largest.name, folder.name])
+        fault = fault or message_fault(message, names)
         attempt = f"semsplat {words[0]}: {largest.name} of zeros"
         return [
             {"sample": name, "attempt": attempt, "fault": fault, "message": message}

@@ -262,7 +262,7 @@ def bag_writer(storage: str) -> Callable[[Path], None]:
 def _messages(
     types: Mapping[str, Any], numbered: Mapping[str, int]
 ) -> list[tuple[str, float, Any]]:
-    """Camera info, raw colour, compressed depth and PNG colour."""
+    """Camera info, colour as PNG, and raw depth."""
 
     def header(time_s: float) -> Any:
         stamp = types["builtin_interfaces/msg/Time"](sec=int(time_s), nanosec=0)
@@ -287,25 +287,22 @@ def _messages(
     )
     found: list[tuple[str, float, Any]] = [("/camera/color/camera_info", 1.0, info)]
     for i in range(FRAMES):
-        pixels = (255 * rgb(i)).astype(np.uint8)
+        png = cv2.imencode(".png", (255 * rgb(i)).astype(np.uint8))[1].ravel()
+        form = "rgb8; png compressed bgr8"
+        packed = types["sensor_msgs/msg/CompressedImage"](
+            header=header(2.0 + i), format=form, data=png
+        )
+        found.append(("/camera/color/image_raw/compressed", 2.0 + i, packed))
         raw = types["sensor_msgs/msg/Image"](
             header=header(2.0 + i),
             height=HEIGHT,
             width=WIDTH,
-            encoding="rgb8",
+            encoding="16UC1",
             is_bigendian=0,
-            step=3 * WIDTH,
-            data=pixels.ravel(),
+            step=2 * WIDTH,
+            data=(1000 * depth_m(i)).astype("<u2").view(np.uint8).ravel(),
         )
-        found.append(("/camera/color/image_raw", 2.0 + i, raw))
-        png = cv2.imencode(".png", (1000 * depth_m(i)).astype(np.uint16))[1]
-        packed = types["sensor_msgs/msg/CompressedImage"](
-            header=header(2.0 + i),
-            format="16UC1; compressedDepth png",
-            data=np.concatenate([np.zeros(12, np.uint8), png.ravel()]),
-        )
-        topic = "/camera/aligned_depth_to_color/image_raw/compressedDepth"
-        found.append((topic, 2.0 + i, packed))
+        found.append(("/camera/aligned_depth_to_color/image_raw", 2.0 + i, raw))
     return found
 
 

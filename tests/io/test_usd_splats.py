@@ -194,7 +194,7 @@ def test_truncated_files_are_refused(tmp_path, capfd):
         path, cut = tmp_path / f"a{suffix}", tmp_path / f"cut{suffix}"
         export_splats(path, spheres().select(torch.arange(2)))
         content = path.read_bytes().rstrip(b"\n")
-        for length in (*range(0, len(content) - 1, 37), len(content) - 1):
+        for length in (*range(0, len(content) - 1, 397), len(content) - 1):
             cut.write_bytes(content[:length])
             with pytest.raises(FormatError) as error:
                 read_splats(cut)
@@ -265,3 +265,17 @@ def test_arrays_of_usd_do_not_outlive_the_stage(tmp_path):
     columns: dict[str, Any] = read_splats(tmp_path / "a.usdc").extra
     (tmp_path / "a.usdc").write_bytes(b"")
     np.testing.assert_array_equal(columns["label"], np.arange(COUNT))
+
+
+def test_binary_files_that_state_too_much_or_crash_openusd_are_refused(tmp_path):
+    """They would end this process if it read them."""
+    path = tmp_path / "a.usdc"
+    export_splats(path, spheres())
+    content = path.read_bytes()
+    contents = int.from_bytes(content[16:24], "little")
+    tokens = int.from_bytes(content[contents + 24 : contents + 32], "little")
+    values = (2**40).to_bytes(8, "little")
+    for place in (tokens, tokens + 8):
+        path.write_bytes(content[:place] + values + content[place + 8 :])
+        with pytest.raises(FormatError, match="cannot be read"):
+            read_splats(path)

@@ -17,7 +17,7 @@ from toolkit.datasets.pairing import (
     pair_numbered,
     pairing_flaws,
 )
-from toolkit.errors import DatasetError
+from toolkit.errors import DatasetError, SettingsError
 from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_rgb
 from toolkit.io.trajectories import read_matrix
@@ -54,11 +54,15 @@ def describe(path: Path) -> Recording:
         )
     flaws = pairing_flaws(rgb, depth, {})
     height, width = read_rgb(files[0].rgb).shape[:2]
+    try:
+        camera = _camera(folder, width, height)
+    except SettingsError as error:
+        raise DatasetError(f"{files[0].rgb}: {error}; export the images again") from error
     poses = [_pose(pose_files.get(n)) for n in rgb if n in depth]
     truth = attach_poses(files, poses) if pose_files else Truth(None)
     return Recording(
         name=folder.resolve().name,
-        camera=_camera(folder, width, height),
+        camera=camera,
         files=files,
         depth_scale=DEPTH_SCALE,
         ground_truth=truth.trajectory,

@@ -1,11 +1,17 @@
-"""What the layers of a USD file refer to, before they are composed.
+"""What the layers of a USD file contain and refer to, before they are composed.
 
 Composition opens every file that a layer names, and repeats what references repeat: a few nested
-ones make more prims than any computer can hold.
+ones make more prims than any computer can hold. OpenUSD crashes while it reads damaged binary
+files, or allocates what they state. Layers are therefore read in a process of their own first.
 """
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,16 +20,74 @@ from toolkit.io.guarded.content import DamagedError, read_content
 
 # Prims of a composed stage, and layers that it consists of.
 _MAX_PRIMS, _MAX_LAYERS = 1_000_000, 1000
+# Of the process that reads them: for small files, and for each byte of large ones.
+_ANY_BYTES, _BYTES_PER_BYTE = 2**31, 16
+_ANY_S, _BYTES_PER_S = 20.0, 5e6
+_REFUSED = 65
+_PROGRAM = """
+import sys, pxr.Sdf, pxr.Tf
+from toolkit.io.usd_layers import check_here
+sys.exit(check_here(pxr))
+"""
 
 
-def check_layers(pxr: Any, path: Path) -> None:
+def check_layers(path: Path) -> None:
     """Check the layers that a file consists of.
 
     Raises:
+        OSError: it cannot be read.
         DamagedError: one cannot be read or lies outside of the folder of the file; or they make
             too many prims, or refer to themselves.
     """
-    layers = _Layers(pxr, path.resolve())
+    status = path.stat()
+    _checked(path.resolve(), status.st_size, status.st_mtime_ns)
+
+
+@functools.lru_cache(1)
+def _checked(path: Path, size: int, _: int) -> None:
+    """Check a file in another process, once until it is changed."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    limit = str(_ANY_BYTES + _BYTES_PER_BYTE * size)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", _PROGRAM, str(path), limit],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_ANY_S + size / _BYTES_PER_S,
+            env=environment,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise DamagedError("it takes too long") from error
+    if done.returncode == _REFUSED:
+        raise DamagedError(done.stdout.decode("utf-8", "replace"))
+    if done.returncode:
+        raise DamagedError("OpenUSD crashes while it reads it")
+
+
+def check_here(pxr: Any) -> int:
+    """Check the file that this process is given, with the memory that it is given.
+
+    Returns:
+        The status of the process.
+    """
+    with contextlib.suppress(ImportError):  # on Windows
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
+    try:
+        _check(pxr, Path(sys.argv[1]))
+    except (DamagedError, OSError) as error:
+        sys.stdout.buffer.write(str(error).encode("utf-8", "replace"))
+        return _REFUSED
+    except (pxr.Tf.ErrorException, RuntimeError):
+        sys.stdout.write("it is no USD file, or is damaged")
+        return _REFUSED
+    return 0
+
+
+def _check(pxr: Any, path: Path) -> None:
+    layers = _Layers(pxr, path)
     root = layers.opened(str(path), None)
     count = sum(layers.prims(root, prim) for prim in root.rootPrims)
     if count > _MAX_PRIMS:
@@ -55,6 +119,7 @@ class _Layers:
         if layer is None:
             raise DamagedError(f"{name!r} cannot be read")
         self._opened[where] = layer
+        _read_values(self._sdf, layer)
         for other in layer.subLayerPaths:
             self.opened(other, layer)
         return layer
@@ -90,3 +155,16 @@ class _Layers:
             yield layer, found
         for name in layer.subLayerPaths:
             yield from self._at(self.opened(name, layer), path)
+
+
+def _read_values(sdf: Any, layer: Any) -> None:
+    """Read the values of a layer, which are decoded only now."""
+
+    def read(path: Any) -> None:
+        spec = layer.GetObjectAtPath(path)
+        for key in spec.ListInfoKeys() if spec else ():
+            spec.GetInfo(key)
+        for time in layer.ListTimeSamplesForPath(path):
+            layer.QueryTimeSample(path, time)
+
+    layer.Traverse(sdf.Path.absoluteRootPath, read)

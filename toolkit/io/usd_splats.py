@@ -209,7 +209,7 @@ def _stage(pxr: Any, path: Path) -> Any:
         with Archive(path) as package:
             package.check()
     check_regular(path)
-    check_layers(pxr, path)
+    check_layers(path)
     return pxr.Usd.Stage.Open(str(path))
 
 

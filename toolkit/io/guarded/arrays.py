@@ -68,7 +68,12 @@ def _array(stream: IO[bytes], size: int) -> NDArray:
             raise DamagedError(f"an array is in version {version} of the format")
         shape, in_columns, dtype = _HEADERS[version](stream, max_header_size=_MAX_HEADER)
         left = size - stream.tell()
-        if dtype.hasobject or len(shape) > _MAX_DIMENSIONS or min(shape, default=0) < 0:
+        if (
+            dtype.hasobject
+            or dtype.names
+            or len(shape) > _MAX_DIMENSIONS
+            or min(shape, default=0) < 0
+        ):
             raise DamagedError(f"an array has the type {dtype} and the shape {shape}")
         if math.prod(shape) * dtype.itemsize != left:
             raise DamagedError(f"an array of {dtype} with shape {shape} has {left} bytes")

@@ -39,7 +39,10 @@ def check_regular(path: PathLike, max_bytes: int = MAX_BYTES) -> None:
         OSError: it cannot be read.
         DamagedError: it is no file, or larger than the limit.
     """
-    status = os.stat(path)
+    try:
+        status = os.stat(path)
+    except ValueError as error:  # names in files can contain NUL
+        raise DamagedError(f"{os.fspath(path)!r} is not the name of a file") from error
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(21, os.strerror(21), str(path))
     if not stat.S_ISREG(status.st_mode):
