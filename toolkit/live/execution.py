@@ -14,6 +14,7 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.resize import ImageGrid
+from toolkit.datasets.samples import spread_frames
 from toolkit.errors import CameraError, DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.evaluation.timing import StageRecorder
@@ -173,7 +174,8 @@ def _execute(
     recorder = StageRecorder()
     up = FoundSide(up_side(settings.dataset))
     if replayed is not None:
-        up = find_side(replayed, settings.dataset)
+        up = find_side(replayed, spread_frames(replayed), settings.dataset)
+        replayed.recording.kept.clear()
     settings = up.chosen(settings)
     slam = build_slam(replayed, settings, folder, recorder)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None

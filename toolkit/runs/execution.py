@@ -12,6 +12,7 @@ from pathlib import Path
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.faults import fault_tolerant
 from toolkit.datasets.prefetch import prefetched
+from toolkit.datasets.samples import spread_frames
 from toolkit.depth_priors.factory import build_provider
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.frame_costs import FrameCostRecorder
@@ -26,7 +27,7 @@ from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
 from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.image_side import find_side
+from toolkit.runs.image_side import FoundSide, find_side
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import locked
 from toolkit.runs.modes import RunContext, RunMode, mode_of
@@ -104,9 +105,8 @@ def _execute(
     observers: Observers,
 ) -> None:
     mode, recorder = mode_of(settings), StageRecorder()
-    up = find_side(dataset, settings.dataset, mode.needs_depth)
+    up, findings = _examined(dataset, settings)
     settings = up.chosen(settings)
-    findings = (*mode.findings(dataset, settings), *up.findings)
     # Missing weights are reported before the motion is estimated.
     provider = build_provider(settings.depth_prior, dataset.stems, dataset.recording.camera)
     with logged_to(folder.log):
@@ -159,6 +159,16 @@ def _execute(
         )
         write_results(result, dataset, folder, settings, record)
         session.close_results()
+
+
+def _examined(dataset: RecordedDataset, settings: RunSettings) -> tuple[FoundSide, tuple[str, ...]]:
+    """The side of the images that is up, and what a few frames show to be wrong."""
+    mode = mode_of(settings)
+    frames = [*spread_frames(dataset)] if mode.needs_depth else []
+    up = find_side(dataset, frames, settings.dataset)
+    findings = mode.findings(dataset, frames, up.chosen(settings))
+    dataset.recording.kept.clear()
+    return up, (*findings, *up.findings)
 
 
 def _log_findings(mode: RunMode, dataset: RecordedDataset, findings: Sequence[str]) -> None:
