@@ -35,6 +35,19 @@ def test_a_removed_working_folder_is_reported(tmp_path: Path):
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize("threads", ["abc", "0", "-1", "2.5", ""])
+def test_a_number_of_threads_that_is_none_is_reported(tmp_path: Path, threads: str):
+    done = subprocess.run(
+        [*PROGRAM, "render", str(tmp_path), "--out", str(tmp_path / "out")],
+        env=SURROUNDINGS | {"OMP_NUM_THREADS": threads},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"semsplat: error: OMP_NUM_THREADS is {threads!r}")
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize("words", [("--help",), ("--version",), ("run", "--help-all")])
 def test_a_reader_that_stops_reading_is_no_error(words: tuple[str, ...]):
     process = subprocess.Popen(

@@ -32,6 +32,8 @@ _REMEDIES = {
     errno.EMFILE: "raise the limit with: ulimit -n 4096",
 }
 
+_THREADS = "OMP_NUM_THREADS"
+
 # What the loader of libraries reports if memory is limited.
 _NO_ADDRESSES = ("failed to map segment", "annot allocate memory")
 
@@ -49,7 +51,7 @@ def one_line_errors(job: Callable[[], int]) -> int:
     shown: Any = PrintableStream(sys.stdout)
     try:
         with contextlib.redirect_stdout(shown):
-            _check_folder()
+            _check_environment()
             status = job()
         sys.stdout.flush()  # errors of flushing are caught here
         return status
@@ -70,12 +72,18 @@ def one_line_errors(job: Callable[[], int]) -> int:
         return USER_ERROR
 
 
-def _check_folder() -> None:
-    """Check that there is a working folder; without, libraries end the process.
+def _check_environment() -> None:
+    """Check what libraries take from the environment, and end the process or raise over.
 
     Raises:
-        SettingsError: it was removed.
+        SettingsError: the working folder was removed, or the number of threads is none.
     """
+    threads = os.environ.get(_THREADS, "1")
+    if not threads.strip().isdecimal() or int(threads) < 1:
+        raise SettingsError(
+            f"{_THREADS} is {threads!r}; set it to a number of threads, or remove it: "
+            f"unset {_THREADS}"
+        )
     try:
         Path.cwd()
     except OSError as error:
