@@ -125,7 +125,7 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 .stamps/dependencies: setup.cfg pyproject.toml constraints.txt | .venv/bin/python .stamps
 	@echo "make: installing Python packages into .venv (several minutes)"
 	$(PIP) $(if $(TORCH_INDEX),--no-deps --retries 1 --extra-index-url $(TORCH_INDEX)) $(TORCH)
-	$(PIP) --require-hashes -r constraints.txt
+	$(PIP) --no-deps --require-hashes -r constraints.txt
 	SEMSPLAT_NATIVE=0 $(PIP) --no-build-isolation --no-deps --editable .
 	@touch $@
 

@@ -59,6 +59,18 @@ def test_a_reader_that_stops_reading_is_no_error(words: tuple[str, ...]):
     assert process.wait() == 1
 
 
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_no_error(tmp_path: Path, closed: str):
+    done = subprocess.run(
+        ["sh", "-c", f'"$0" "$@" {closed}', *PROGRAM, "--version"],
+        env=SURROUNDINGS,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and done.stderr == ""
+    assert bool(done.stdout) == (closed in ("<&-", "2>&-"))
+
+
 def test_little_memory_is_reported_in_one_line(tmp_path: Path):
     limit = 600 << 20
     done = subprocess.run(

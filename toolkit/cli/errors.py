@@ -44,6 +44,7 @@ def one_line_errors(job: Callable[[], int]) -> int:
     Other exceptions are programming errors and propagate with their traceback. Characters that the
     encoding of stdout or stderr lacks are printed as escapes.
     """
+    _open_standard_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -70,6 +71,17 @@ def one_line_errors(job: Callable[[], int]) -> int:
         logger.debug("Traceback of the error:", exc_info=True)
         print(f"semsplat: error: {message}", file=sys.stderr)
         return USER_ERROR
+
+
+def _open_standard_streams() -> None:
+    """Replace streams that are closed, as those of daemons: a file would take their place."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _check_environment() -> None:
