@@ -59,6 +59,17 @@ def test_a_reader_that_stops_reading_is_no_error(words: tuple[str, ...]):
     assert process.wait() == 1
 
 
+def test_a_client_that_leaves_concurrent_tasks_is_no_error():
+    job = (
+        "from toolkit.cli.errors import one_line_errors\n"
+        "def job():\n"
+        "    raise ExceptionGroup('tasks', [ExceptionGroup('task', [BrokenPipeError(32, 'x')])])\n"
+        "raise SystemExit(one_line_errors(job))"
+    )
+    done = subprocess.run([sys.executable, "-c", job], env=SURROUNDINGS, capture_output=True)
+    assert done.returncode == 1 and done.stderr == b""
+
+
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_are_no_error(tmp_path: Path, closed: str):
     done = subprocess.run(

@@ -56,21 +56,28 @@ def one_line_errors(job: Callable[[], int]) -> int:
             status = job()
         sys.stdout.flush()  # errors of flushing are caught here
         return status
-    except BrokenPipeError:
-        # The reader of stdout has exited, as in `semsplat doctor | head`. Redirect buffered output,
-        # or Python reports the error again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     except KeyboardInterrupt:
         print("semsplat: interrupted", file=sys.stderr)
         return INTERRUPTED
     except Exception as error:
+        if _is_broken_pipe(error):
+            # The reader of stdout has exited, as in `semsplat doctor | head`. Redirect buffered
+            # output, or Python reports the error again at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
         message = explain(error)
         if message is None:
             raise
         logger.debug("Traceback of the error:", exc_info=True)
         print(f"semsplat: error: {message}", file=sys.stderr)
         return USER_ERROR
+
+
+def _is_broken_pipe(error: BaseException) -> bool:
+    """Whether nothing but that went wrong; concurrent tasks raise groups."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(_is_broken_pipe, error.exceptions))
+    return isinstance(error, BrokenPipeError)
 
 
 def _open_standard_streams() -> None:
