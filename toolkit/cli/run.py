@@ -11,6 +11,7 @@ import tyro
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
+from toolkit.errors import SettingsError
 from toolkit.runs.settings import PresetName, RunSettings, load_settings
 
 if TYPE_CHECKING:
@@ -72,8 +73,22 @@ def parse_run(kind: type[Program], argv: list[str], job: str) -> Program:
         SettingsError: an option, the preset or the file of settings is invalid.
     """
     config, preset = _value(argv, "--config"), _value(argv, "--preset")
-    settings = load_settings(Path(config) if config else None, preset or "default")
+    try:
+        settings = load_settings(Path(config) if config else None, preset or "default")
+    except SettingsError:
+        if config and "--resume" in argv:
+            _check_version(Path(config))
+        raise
     return parse_arguments(kind, argv, job, default=kind(out=tyro.MISSING, **vars(settings)))
+
+
+def _check_version(config: Path) -> None:
+    """Check that the settings of a run that is resumed are not those of another version."""
+    from toolkit.runs.folder import RunFolder
+
+    folder = RunFolder(config.parent)
+    if folder.config == config and folder.loops.is_file():
+        folder.check_version()
 
 
 def progress_observers(program: RunArguments) -> list[ProgressObserver]:

@@ -70,6 +70,12 @@ def open_saved_map(settings: RunSettings, dataset: Dataset | None) -> SavedMap |
         source = summary(settings.map, found)
         return SavedMap(settings.map, {0: found.submap}, {}, source=source)
     saved = load_run(settings.map)
+    saved.version.require_settings(
+        settings.map,
+        ("loops.features", "semantics"),
+        "extended",
+        f"--map {saved.folder.map} to extend it as a splat file",
+    )
     _check_descriptors(saved, settings)
     _check_semantics(saved, settings, dataset)
     semantics, objects = saved.folder.read_semantics(), load_objects(saved.folder)
