@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from toolkit.errors import DependencyError, SettingsError, ToolkitError
+from toolkit.errors import DependencyError, SettingsError, Stopped, ToolkitError
 from toolkit.io.printable import PrintableStream, printable
 
 logger = logging.getLogger(__name__)
@@ -58,6 +58,9 @@ def one_line_errors(job: Callable[[], int]) -> int:
         # or Python reports the error again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except Stopped as stopped:
+        print(f"semsplat: {printable(str(stopped))}", file=sys.stderr)
+        return stopped.status
     except KeyboardInterrupt:
         print("semsplat: interrupted", file=sys.stderr)
         return INTERRUPTED

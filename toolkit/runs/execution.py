@@ -39,6 +39,7 @@ from toolkit.runs.saved_map import SavedMap, load_saved_map, open_saved_map
 from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.runs.snapshots import SnapshotWriter
+from toolkit.runs.stopping import StopSignals
 from toolkit.semantics.decoder import check_reader
 from toolkit.slam.system import Slam
 from toolkit.synthetic_rooms import RoomSettings, make_room
@@ -52,6 +53,7 @@ def run(
     resume: bool = False,
     progress: Progress = no_progress,
     observers: Sequence[ProgressObserver] = (),
+    stop: StopSignals | None = None,
 ) -> None:
     """Track and map a dataset, evaluate the result and write the run folder.
 
@@ -62,9 +64,11 @@ def run(
         resume: continue from the last checkpoint in `out`.
         progress: wraps the frames in a progress bar.
         observers: follow the progress, for instance a recording or a viewer.
+        stop: signals that end the run with a checkpoint.
 
     Raises:
         ToolkitError: bad settings, data or output folder, or another process runs in it.
+        Stopped: a signal ends the run.
     """
     check_settings(settings)
     out = Path(out)
@@ -82,12 +86,14 @@ def run(
         if resume:
             folder.check_config(config)
             folder.remove_leftovers()
+            folder.prepare()
             if folder.is_finished and not folder.has_checkpoint:
                 _log.info("%s is finished; there is nothing to resume.", out)
                 return
         try:
             followers = Observers([SnapshotWriter(), *observers])
-            _execute(settings, dataset, folder, saved, progress, followers)
+            stop = stop or StopSignals()
+            _execute(settings, dataset, folder, saved, progress, followers, stop)
         except Exception:
             # Without a checkpoint there is nothing to resume.
             if not (resume or folder.has_checkpoint or folder.is_finished):
@@ -102,6 +108,7 @@ def _execute(
     saved: SavedMap | None,
     progress: Progress,
     observers: Observers,
+    stop: StopSignals,
 ) -> None:
     mode, recorder = mode_of(settings), StageRecorder()
     up = find_side(dataset, settings.dataset, mode.needs_depth)
@@ -123,7 +130,7 @@ def _execute(
     checkpoints = CheckpointWriter(folder, paced is not None, identity)
     costs = FrameCostRecorder(recorder)
     session = Session(
-        dataset.name, dataset.camera, settings, folder, slam, system, costs, observers
+        dataset.name, dataset.camera, settings, folder, slam, system, costs, observers, stop
     )
     with session.open():
         for note in up.notes:
@@ -149,6 +156,7 @@ def _execute(
             )
         checkpoints.save(system, len(dataset))
         checkpoints.wait()
+        stop.check()
         pace = None if paced is None else _log_pace(paced.summary())
         result = session.finish(progress)
         prior = None

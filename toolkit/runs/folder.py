@@ -111,13 +111,26 @@ class RunFolder:
         if not is_unused(path):
             raise RunFolderError(f"{path} is not an empty folder; choose another output folder")
         try:
-            for part in (path, folder.renders, folder.checkpoints):
-                part.mkdir(parents=True, exist_ok=True)
+            path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise cannot_write(path, error) from error
-        folder.loops.touch()
+        # First, so that a folder whose process was killed is known to be that of a run.
         write_text(folder.config, config)
+        folder.prepare()
         return folder
+
+    def prepare(self) -> None:
+        """Create what a new run contains besides its settings.
+
+        Raises:
+            RunFolderError: the folder cannot be written.
+        """
+        try:
+            for part in (self.renders, self.checkpoints):
+                part.mkdir(exist_ok=True)
+            self.loops.touch()
+        except OSError as error:
+            raise cannot_write(self.path, error) from error
 
     @classmethod
     def open(cls, path: Path) -> RunFolder:
