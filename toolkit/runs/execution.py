@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -47,6 +47,15 @@ from toolkit.synthetic_rooms import RoomSettings, make_room
 _log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, eq=False)
+class _Hooks:
+    """What follows the progress of a run and ends it; see `run`."""
+
+    progress: Progress
+    observers: Observers
+    stop: StopSignals
+
+
 def run(
     settings: RunSettings,
     out: str | os.PathLike[str],
@@ -85,15 +94,16 @@ def run(
     with locked(out):
         if resume:
             folder.check_config(config)
-            folder.remove_leftovers()
+        folder.remove_leftovers()
+        if resume:
             folder.prepare()
             if folder.is_finished and not folder.has_checkpoint:
                 _log.info("%s is finished; there is nothing to resume.", out)
                 return
         try:
             followers = Observers([SnapshotWriter(), *observers])
-            stop = stop or StopSignals()
-            _execute(settings, dataset, folder, saved, progress, followers, stop)
+            hooks = _Hooks(progress, followers, stop or StopSignals())
+            _execute(settings, dataset, folder, saved, hooks)
         except Exception:
             # Without a checkpoint there is nothing to resume.
             if not (resume or folder.has_checkpoint or folder.is_finished):
@@ -106,10 +116,9 @@ def _execute(
     dataset: RecordedDataset,
     folder: RunFolder,
     saved: SavedMap | None,
-    progress: Progress,
-    observers: Observers,
-    stop: StopSignals,
+    hooks: _Hooks,
 ) -> None:
+    progress, stop = hooks.progress, hooks.stop
     mode, recorder = mode_of(settings), StageRecorder()
     up = find_side(dataset, settings.dataset, mode.needs_depth)
     settings = up.chosen(settings)
@@ -130,7 +139,7 @@ def _execute(
     checkpoints = CheckpointWriter(folder, paced is not None, identity)
     costs = FrameCostRecorder(recorder)
     session = Session(
-        dataset.name, dataset.camera, settings, folder, slam, system, costs, observers, stop
+        dataset.name, dataset.camera, settings, folder, slam, system, costs, hooks.observers, stop
     )
     with session.open():
         for note in up.notes:

@@ -12,12 +12,26 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from toolkit.errors import RunFolderError
+from toolkit.errors import RunFolderError, Stopped
 from toolkit.io import storage
 from toolkit.runs.lock import locked, unlisted
 from toolkit.runs.stopping import StopSignals
 
 _PREFIX = ".unfinished-"
+
+
+@contextmanager
+def repeatable() -> Iterator[None]:
+    """Let signals end a job that can be repeated.
+
+    Raises:
+        Stopped: a signal ends the job.
+    """
+    try:
+        with StopSignals().handled():
+            yield
+    except Stopped as stopped:
+        raise Stopped(stopped.number, "repeat the command to do it again") from None
 
 
 @dataclass(frozen=True)
@@ -98,7 +112,7 @@ class NewFolder:
         folder = Path(self.place)
         existed = folder.is_dir()
         try:
-            with StopSignals().handled(), locked(folder):
+            with repeatable(), locked(folder):
                 self.begin()
                 try:
                     yield
