@@ -19,6 +19,8 @@ from toolkit.cli.main import main
 from toolkit.errors import SettingsError
 from toolkit.io.arrays import read_array_tree
 from toolkit.io.splats import read_splats
+from toolkit.mapping.options import MapperOptions
+from toolkit.runs import saved_map
 from toolkit.runs.finished import load_run
 from toolkit.runs.formats import RUN_FORMAT
 from toolkit.runs.settings import RunSettings, dump_settings, load_stored_settings
@@ -96,6 +98,15 @@ def test_maps_whose_codes_are_not_known_are_not_extended(tiny_recording, tmp_pat
     line = capsys.readouterr().err.strip().splitlines()[-1]
     assert "run folder format 1" in line and f"--map {tmp_path / 'run/map.ply'}" in line
     assert not out.exists()
+
+
+def test_maps_of_spheres_are_not_extended_by_ellipsoids(tmp_path):
+    with zipfile.ZipFile(STORED / "format_2_spheres.zip") as file:
+        file.extractall(tmp_path / "run")
+    saved = load_run(tmp_path / "run")
+    with pytest.raises(SettingsError, match="spheres.*set --mapping.final-shape spheres"):
+        saved_map._check_shapes(saved, RunSettings())
+    saved_map._check_shapes(saved, RunSettings(mapping=MapperOptions(final_shape="spheres")))
 
 
 def test_only_what_this_version_lacks_is_ignored(tmp_path):
