@@ -104,7 +104,7 @@ def test_maps_of_spheres_are_not_extended_by_ellipsoids(tmp_path):
     with zipfile.ZipFile(STORED / "format_2_spheres.zip") as file:
         file.extractall(tmp_path / "run")
     saved = load_run(tmp_path / "run")
-    with pytest.raises(SettingsError, match="spheres.*set --mapping.final-shape spheres"):
+    with pytest.raises(SettingsError, match=r"spheres.*set --mapping\.final-shape spheres"):
         saved_map._check_shapes(saved, RunSettings())
     saved_map._check_shapes(saved, RunSettings(mapping=MapperOptions(final_shape="spheres")))
 
