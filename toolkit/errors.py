@@ -4,6 +4,8 @@ A message is one line: what is wrong, which file or setting is affected, and how
 print the message and exit with a non-zero status.
 """
 
+import signal
+
 
 class ToolkitError(Exception):
     """Base class of all errors that a user can fix."""
@@ -31,6 +33,25 @@ class DependencyError(ToolkitError):
 
 class MemoryLimitError(ToolkitError):
     """A run has nearly used up the memory that it may use."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal ended a job.
+
+    Args:
+        number: of the signal.
+        state: what was saved and how to continue, for messages.
+    """
+
+    def __init__(self, number: int, state: str = "") -> None:
+        word = "interrupted" if number == signal.SIGINT else "terminated"
+        super().__init__(f"{word}; {state}" if state else word)
+        self.number = number
+
+    @property
+    def status(self) -> int:
+        """Exit status, as in shells."""
+        return 128 + self.number
 
 
 class CameraError(ToolkitError):

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from toolkit.errors import DependencyError, SettingsError, ToolkitError
+from toolkit.errors import DependencyError, SettingsError, Stopped, ToolkitError
 from toolkit.io.printable import PrintableStream, printable
 
 logger = logging.getLogger(__name__)
@@ -56,6 +56,9 @@ def one_line_errors(job: Callable[[], int]) -> int:
             status = job()
         sys.stdout.flush()  # errors of flushing are caught here
         return status
+    except Stopped as stopped:
+        print(f"semsplat: {printable(str(stopped))}", file=sys.stderr)
+        return stopped.status
     except KeyboardInterrupt:
         print("semsplat: interrupted", file=sys.stderr)
         return INTERRUPTED
