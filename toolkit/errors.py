@@ -4,11 +4,30 @@ A message is one line: what is wrong, which file or setting is affected, and how
 print the message and exit with a non-zero status.
 """
 
+from __future__ import annotations
+
+import re
 import signal
+
+from toolkit.io.printable import printable
+
+# Longer messages quote a file: their start names it, and their end says what to do.
+_MAX_START, _MAX_END = 380, 180
 
 
 class ToolkitError(Exception):
-    """Base class of all errors that a user can fix."""
+    """Base class of all errors that a user can fix.
+
+    Args:
+        message: made one line without control characters, and shortened in its middle if it is
+            long.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        message = printable(re.sub(r"\s*\n\s*", " ", message.strip()))
+        if len(message) > _MAX_START + _MAX_END:
+            message = f"{message[:_MAX_START]} ... {message[-_MAX_END:]}"
+        super().__init__(message)
 
 
 class DatasetError(ToolkitError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 from pathlib import Path
@@ -15,6 +16,7 @@ from toolkit.datasets.checks import check_recording
 from toolkit.datasets.options import BagTopics, DatasetOptions
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError
+from toolkit.io import images
 
 SIZE = WIDTH, HEIGHT = 32, 24
 K = (30.0, 31.0, 15.5, 11.5)
@@ -94,6 +96,26 @@ def test_a_folder_with_only_a_bag_and_the_bare_files_are_read(tmp_path):
     write_rgbd(tmp_path, "sqlite3")
     assert len(opened(tmp_path)) == 4
     assert len(opened(next((tmp_path / "recording").glob("*.db3")))) == 4
+
+
+def test_compressed_depth_of_a_topic_is_read(tmp_path):
+    """Its images start with a header of the plugin, which is no part of the PNG."""
+    content = BagContent()
+    content.info("/camera/color/camera_info", K, SIZE)
+    for i in range(2):
+        content.image(COLOUR, START_S + i, rgb(i), "rgb8")
+        png = bytes(12) + images.encode_png(depth_mm(i))
+        content.compressed(f"{DEPTH}/compressedDepth", START_S + i, png, "16UC1; compressedDepth")
+    dataset = open_dataset("bag", content.write(tmp_path))
+    np.testing.assert_allclose(dataset[1].depth_m, depth_mm(1) / 1000, atol=1e-6)
+
+
+def test_a_pipe_instead_of_a_bag_is_not_waited_for(tmp_path):
+    file = next(write_rgbd(tmp_path, "mcap").glob("*.mcap"))
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(DatasetError, match="a pipe"):
+        opened(tmp_path)
 
 
 def test_colour_without_depth_in_time_is_left_out(tmp_path):

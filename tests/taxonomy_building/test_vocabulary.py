@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+import random
 from collections import Counter
 
 import pytest
@@ -102,3 +104,16 @@ def test_no_word_stands_in_two_places():
     folder = resources.files("toolkit.taxonomy_building")
     count(yaml.safe_load((folder / "vocabulary.yaml").read_text("utf-8")))
     assert [w for w, n in words.items() if n > 1] == []
+
+
+def test_misspelt_names_are_found_as_by_comparing_all_words():
+    """Most words are not compared, because they share too few letters."""
+    words = list(built_in()._entries)
+    chance = random.Random(0)
+    for word in chance.sample(words, 60):
+        letters = list(word)
+        for _ in range(chance.randint(1, 3)):
+            letters[chance.randrange(len(letters))] = chance.choice("aeinrst")
+        changed = "".join(letters)
+        expected = difflib.get_close_matches(changed, words, n=1, cutoff=0.88)
+        assert built_in()._spellings.closest(changed) == (expected[0] if expected else None)

@@ -17,6 +17,8 @@ from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.errors import DatasetError, DependencyError, FormatError, SettingsError
 from toolkit.io.class_names import read_class_names
+from toolkit.io.guarded.content import DamagedError
+from toolkit.io.user_files import read_text
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_drawing import SUFFIXES as PICTURE_SUFFIXES
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
@@ -48,6 +50,7 @@ _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 # Maximum number of measured frames of a scan; more have little effect on the shape of a class.
 _MAX_FRAMES = 100
 _SUFFIXES = (".yaml", ".yml", ".json")
+_MAX_LINES_BYTES = 2**24
 
 
 def main(options: BuildTaxonomyOptions) -> int:
@@ -125,11 +128,13 @@ def _class_names(options: BuildTaxonomyOptions) -> list[str]:
 
 def _lines(path: Path) -> list[str]:
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, _MAX_LINES_BYTES).splitlines()
     except OSError as error:
         raise DatasetError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise DatasetError(f"{path} is not UTF-8 text; save it in this encoding") from error
+    except DamagedError as error:
+        raise DatasetError(f"cannot read {path}: {error}; give a file of names") from error
     return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 
 

@@ -88,13 +88,12 @@ def choose_topics(bag: BagFile, wanted: BagTopics) -> ChosenTopics:
         if message is None:
             continue
         depth = ros_images.is_depth(topic.name, message)
-        found = ImageTopic(
-            topic.name,
-            ros_images.size_of(message),
-            message.header.frame_id,
-            depth or ros_images.is_grey(message),
-            _info_of(topic.name, message, infos),
-        )
+        try:
+            size, grey = ros_images.size_of(message), depth or ros_images.is_grey(message)
+        except DatasetError as error:
+            raise DatasetError(f"{bag.path}, {topic.name}: {error}") from error
+        info = _info_of(topic.name, message, infos)
+        found = ImageTopic(topic.name, size, message.header.frame_id, grey, info)
         (depths if depth else colours).append(found)
     colour, notes = _colour(bag, colours, wanted.colour)
     return ChosenTopics(colour, _depth(bag, depths, wanted.depth), notes)

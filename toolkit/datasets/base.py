@@ -26,7 +26,12 @@ from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
+from toolkit.io.guarded.images import MAX_PIXELS
 from toolkit.io.video import VideoFile
+
+# Images of as many pixels are decoded to compare their size with the camera's; colour has up to
+# this multiple of the pixels of depth.
+_ANY_PIXELS, _LARGER = 2**22, 400
 
 
 class Dataset(Protocol):
@@ -207,6 +212,10 @@ class RecordedDataset:
             if recording.distortion
             else None
         )
+        # Images of another size than the camera's are refused, but not decoded if they are huge.
+        pixels = recording.camera.width * recording.camera.height
+        factor = _LARGER if recording.colour_may_be_larger else 1
+        self._max_pixels = min(MAX_PIXELS, max(_ANY_PIXELS, factor * pixels))
         offset_px = recording.depth_offset_px
         size = image_size or (recording.camera.size if any(offset_px) else None)
         self._grid = ImageGrid(recording.camera, size, offset_px) if size else None
@@ -317,7 +326,7 @@ class RecordedDataset:
     def _labels(self, files: FrameFiles) -> NDArray[np.int32] | None:
         if files.labels is None:
             return None
-        labels = images.read_labels(files.labels)
+        labels = images.read_labels(files.labels, self._max_pixels)
         check_size(labels, self.recording.camera.size, files.labels)
         return self._undistortion.nearest(labels) if self._undistortion else labels
 
@@ -328,11 +337,11 @@ class RecordedDataset:
         if recording.container is not None and files.number is not None:
             depth_m = recording.container.depth_m(files.number)
         else:
-            depth_m = images.read_depth_m(files.depth, recording.depth_scale)
+            depth_m = images.read_depth_m(files.depth, recording.depth_scale, self._max_pixels)
         # Not finite, or negative: containers have floating-point depth.
         depth_m = np.where((depth_m > 0.0) & (depth_m < recording.missing_from_m), depth_m, 0.0)
         if files.confidence is not None:
-            confidence = images.read_labels(files.confidence)
+            confidence = images.read_labels(files.confidence, self._max_pixels)
             height, width = depth_m.shape
             check_size(confidence, (width, height), files.confidence)
             depth_m[confidence == 0] = 0.0
@@ -345,7 +354,7 @@ class RecordedDataset:
 
     def _colour(self, files: FrameFiles) -> NDArray[np.float32]:
         if files.number is None:
-            return oriented(images.read_rgb(files.rgb), files.orientation)
+            return oriented(images.read_rgb(files.rgb, self._max_pixels), files.orientation)
         if self.recording.container is not None:
             return self.recording.container.rgb(files.number)
         if files.rgb not in self._videos:

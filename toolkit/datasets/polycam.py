@@ -34,6 +34,7 @@ from toolkit.io.user_files import visible
 DEPTH_SCALE = 1000.0
 FPS = 30.0
 _KEYFRAMES = "keyframes"
+_MAX_CAMERA_BYTES = 2**20
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
@@ -107,7 +108,7 @@ class _Entry:
     @classmethod
     def read(cls, file: Path) -> _Entry:
         try:
-            content = read_json(file)
+            content = read_json(file, max_bytes=_MAX_CAMERA_BYTES)
         except (OSError, ValueError) as error:
             raise DatasetError(f"cannot read {file}: {error}; it must be JSON") from error
         keys = ["fx", "fy", "cx", "cy", "width", "height"]

@@ -21,6 +21,7 @@ from toolkit.io.trajectories import read_matrix_lines
 # Frame rate; the layout has no timestamps.
 FPS = 30.0
 DEFAULT_DEPTH_SCALE = 6553.5
+_MAX_CAMERA_BYTES = 2**20
 
 
 def describe(path: Path) -> Recording:
@@ -71,7 +72,7 @@ def read_camera(path: Path) -> tuple[Camera, float]:
         DatasetError: the file is malformed or a value is out of range.
     """
     try:
-        values = read_json(path)["camera"]
+        values = read_json(path, max_bytes=_MAX_CAMERA_BYTES)["camera"]
         camera = Camera(
             fx=float(values["fx"]),
             fy=float(values["fy"]),

@@ -97,7 +97,8 @@ def _odometry(path: Path) -> dict[int, tuple[float, NDArray[np.float64]]]:
         words = line.split(",")
         try:
             time_s, frame, *values = (float(words[i]) for i in order)
-        except (ValueError, IndexError) as error:
+            index = int(frame)
+        except (ValueError, IndexError, OverflowError) as error:
             raise FormatError(f"{path}, line {number}: {error}; fix or remove the line") from error
-        rows[int(frame)] = (time_s, pose_of_quaternion(np.array(values[:3]), np.array(values[3:])))
+        rows[index] = (time_s, pose_of_quaternion(np.array(values[:3]), np.array(values[3:])))
     return rows

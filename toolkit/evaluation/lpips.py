@@ -20,6 +20,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from toolkit.errors import DependencyError, FormatError
+from toolkit.io.guarded.content import DamagedError, check_regular
 
 # The output of AlexNet's second pooling layer is empty for smaller images.
 MIN_SIDE = 31
@@ -27,6 +28,8 @@ MIN_SIDE = 31
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
 _EPSILON = 1e-10
+# AlexNet has 240 MB.
+_MAX_BYTES = 2**30
 _POOL_SIZE, _POOL_STRIDE = 3, 2
 
 
@@ -161,6 +164,10 @@ def _read(path: Path) -> Mapping[str, Tensor]:
     """Read the tensors of a file by name."""
     if not path.is_file():
         raise FormatError(f"LPIPS weights {path} do not exist; {_REMEDY}")
+    try:
+        check_regular(path, _MAX_BYTES)
+    except DamagedError as error:
+        raise FormatError(f"{path} cannot be read ({error}); {_REMEDY}") from error
     if path.suffix == ".safetensors":
         return _read_safetensors(path)
     try:

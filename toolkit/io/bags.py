@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from toolkit.errors import DatasetError, DependencyError, ToolkitError
+from toolkit.io.guarded.content import check_regular
 from toolkit.io.user_files import visible
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 _METADATA = "metadata.yaml"
+# Of a file, and of the metadata, which list topics and parts; rosbags needs seconds for a megabyte.
+_MAX_BYTES, _MAX_METADATA = 2**42, 2**18
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,8 @@ class BagFile:
         with self._reporting():
             for connection in self._reader().connections:
                 key = connection.topic, connection.msgtype
+                if not all(isinstance(text, str) for text in key):
+                    raise ValueError(f"{key} are no names of a topic and of its type")
                 counts[key] = counts.get(key, 0) + connection.msgcount
         self.topics = tuple(Topic(*key, count) for key, count in counts.items())
         if not any(topic.count for topic in self.topics):
@@ -131,7 +136,7 @@ def _bag_at(path: Path) -> Path:
     """The bag at a path, or the only one in a folder."""
     if not path.exists():
         raise DatasetError(f"{path} does not exist; check the path")
-    if path.is_file():
+    if not path.is_dir():
         if path.suffix not in SUFFIXES:
             raise DatasetError(
                 f"{path} is not a bag; specify a file with suffix {', '.join(SUFFIXES)}, or the "
@@ -166,6 +171,10 @@ def _opened(path: Path) -> Any:
             f"bags are read by rosbags, which cannot be loaded ({error}); fix it with: "
             "pip install 'semsplat[bags]'"
         ) from error
+    # A pipe would be waited for.
+    for file in visible(path) if path.is_dir() else [path]:
+        if not file.is_dir():
+            check_regular(file, _MAX_METADATA if file.name == _METADATA else _MAX_BYTES)
     # Bags of early ROS 2 do not contain the definitions of their messages.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
     reader.open()

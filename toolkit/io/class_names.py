@@ -12,6 +12,8 @@ _FORM = '{"void": 0, "classes": {"1": "name", ...}}'
 _COLOUR_FORM = '"colours": {"1": [red, green, blue], ...}, each 0 to 255'
 VOID_NAMES = ("void", "unlabeled", "unlabelled", "ignore")
 _MAX_CLASS_ID = 65535
+# Of as many names and colours, with room for other keys.
+_MAX_BYTES = 2**24
 # Maximum number of characters of a name.
 MAX_NAME = 100
 
@@ -90,7 +92,7 @@ def read_class_colours(path: Path) -> dict[int, tuple[int, int, int]] | None:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        content = read_json(path)
+        content = read_json(path, max_bytes=_MAX_BYTES)
     except OSError as error:
         raise DatasetError(
             f"cannot read {path}: {error.strerror}; it must contain {_FORM}"

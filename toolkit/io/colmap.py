@@ -19,6 +19,9 @@ from toolkit.io.colmap_binary import camera_rows, image_rows
 from toolkit.io.trajectories import pose_of_quaternion, text_lines
 from toolkit.io.user_files import read_text
 
+# Images list their points, thousands each.
+_MAX_IMAGES_BYTES = 2**32
+
 
 @dataclass(frozen=True)
 class _Model:
@@ -122,8 +125,11 @@ def read_images(path: Path) -> list[ColmapImage]:
         DatasetError: the file cannot be read.
         FormatError: a line is malformed.
     """
-    images = []
+    images, names = [], set()
     for pose, camera_id, name in image_rows(path) if path.suffix == ".bin" else _text_rows(path):
+        if name in names:
+            raise FormatError(f"{path}: image {name} is given twice; export the model again")
+        names.add(name)
         values = np.array(pose)
         T_camera_world = pose_of_quaternion(values[4:], values[[1, 2, 3, 0]])
         finite = bool(np.isfinite(T_camera_world).all())
@@ -147,7 +153,7 @@ def _text_rows(path: Path) -> Iterator[tuple[list[float], int, str]]:
 def _image_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines of images with their numbers; each is followed by a line of points, maybe empty."""
     try:
-        lines = read_text(path).splitlines()
+        lines = read_text(path, _MAX_IMAGES_BYTES).splitlines()
     except (OSError, ValueError) as error:
         raise DatasetError(f"cannot read {path}: {error}; export the model again") from error
     points_follow = False

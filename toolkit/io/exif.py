@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from toolkit.errors import DatasetError
+from toolkit.io.guarded.content import check_regular
+from toolkit.io.guarded.images import MAX_IMAGE_BYTES
 
 # Diagonal of 35 mm film: the equivalent focal length gives the same diagonal field of view.
 FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
@@ -44,6 +46,7 @@ def read_photo_info(path: Path) -> PhotoInfo:
     from PIL import Image  # only photos need it
 
     try:
+        check_regular(path, MAX_IMAGE_BYTES)
         with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
             size, exif = image.size, image.getexif()
             orientation, details = exif.get(_ORIENTATION, 1), exif.get_ifd(_EXIF)

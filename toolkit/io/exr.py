@@ -8,6 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DependencyError
+from toolkit.io.guarded.content import check_regular
+from toolkit.io.guarded.images import MAX_IMAGE_BYTES, check_pixels
+
+# The size is among the first attributes, but notes may come before it.
+_HEADER_BYTES = 2**20
 
 
 def read_exr(file: Path, extra: str) -> NDArray:
@@ -18,7 +23,8 @@ def read_exr(file: Path, extra: str) -> NDArray:
         extra: the optional dependencies of semsplat that contain the reader, for the message.
 
     Raises:
-        ValueError: the file is unreadable.
+        OSError: the file cannot be read.
+        ValueError: it is damaged, or has too many pixels.
         DependencyError: the package that reads EXR is not installed.
     """
     try:
@@ -27,6 +33,9 @@ def read_exr(file: Path, extra: str) -> NDArray:
         raise DependencyError(
             f"{file} needs a package that reads EXR: pip install 'semsplat[{extra}]'"
         ) from error
+    check_regular(file, MAX_IMAGE_BYTES)
+    with file.open("rb") as opened:
+        check_pixels(opened.read(_HEADER_BYTES))
     try:
         with OpenEXR.File(str(file), separate_channels=True) as content:
             channels = {name: np.array(c.pixels) for name, c in content.channels().items()}

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError, DependencyError
 from toolkit.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import write_bytes
-from toolkit.io.guarded.content import DamagedError, read_content
-from toolkit.io.guarded.images import check_pixels
+from toolkit.io.guarded.content import DamagedError, check_regular, read_content
+from toolkit.io.guarded.images import MAX_IMAGE_BYTES, MAX_PIXELS, check_pixels
 
 PathLike = str | os.PathLike[str]
 
@@ -36,15 +36,18 @@ _PALETTE = b"\x03"
 _log = logging.getLogger(__name__)
 
 
-def read_rgb(path: PathLike) -> NDArray[np.float32]:
+def read_rgb(path: PathLike, max_pixels: int = MAX_PIXELS) -> NDArray[np.float32]:
     """Read a colour image as [H, W, 3] float32 RGB in [0, 1].
 
     Greyscale images are converted to RGB; an alpha channel is dropped.
 
+    Args:
+        max_pixels: limit that is checked before decoding.
+
     Raises:
-        DatasetError: the file is missing, truncated, corrupt or not an image.
+        DatasetError: the file is missing, truncated, corrupt, too large or not an image.
     """
-    image = _read(Path(path))
+    image = _read(Path(path), max_pixels)
     if image.dtype not in (np.uint8, np.uint16):
         raise DatasetError(
             f"{path} has {image.dtype} pixels; colour images must have 8 or 16 bits per channel"
@@ -54,29 +57,31 @@ def read_rgb(path: PathLike) -> NDArray[np.float32]:
     return np.divide(image[..., :3], np.float32(np.iinfo(image.dtype).max), dtype=np.float32)
 
 
-def read_depth_m(path: PathLike, scale: float) -> NDArray[np.float32]:
+def read_depth_m(path: PathLike, scale: float, max_pixels: int = MAX_PIXELS) -> NDArray[np.float32]:
     """Read a 16-bit depth PNG as [H, W] float32 metres, 0 where missing.
 
     Args:
         path: the image file; the values 0 and 65535 mark missing depth.
         scale: values per metre, > 0 (metres = value / scale).
+        max_pixels: limit that is checked before decoding.
 
     Raises:
-        DatasetError: the file is missing, truncated, corrupt or not a 16-bit greyscale image.
+        DatasetError: the file is missing, truncated, corrupt, too large or not a 16-bit greyscale
+            image.
     """
-    raw = read_depth_values(path)
+    raw = read_depth_values(path, max_pixels)
     depth_m = np.divide(raw, np.float32(scale), dtype=np.float32)
     depth_m[raw == SATURATED_DEPTH] = 0.0
     return depth_m
 
 
-def read_depth_values(path: PathLike) -> NDArray[np.uint16]:
+def read_depth_values(path: PathLike, max_pixels: int = MAX_PIXELS) -> NDArray[np.uint16]:
     """Read the values [H, W] of a 16-bit depth PNG.
 
     Raises:
         DatasetError: the file is missing, truncated, corrupt or not a 16-bit greyscale image.
     """
-    raw = _read(Path(path))
+    raw = _read(Path(path), max_pixels)
     if raw.dtype != np.uint16 or raw.shape[2] != 1:
         raise DatasetError(
             f"{path} is not a depth image: {raw.shape[2]} channel(s) of {raw.dtype}; "
@@ -85,15 +90,15 @@ def read_depth_values(path: PathLike) -> NDArray[np.uint16]:
     return raw[..., 0]
 
 
-def read_labels(path: PathLike) -> NDArray[np.int32]:
+def read_labels(path: PathLike, max_pixels: int = MAX_PIXELS) -> NDArray[np.int32]:
     """Read a PNG of class ids as [H, W] int32: 8- or 16-bit greyscale, or the indices of a palette.
 
     Raises:
         DatasetError: the file is missing, truncated, corrupt or neither of these.
     """
     if _has_palette(Path(path)):
-        return _palette_indices(Path(path))
-    raw = _read(Path(path))
+        return _palette_indices(Path(path), max_pixels)
+    raw = _read(Path(path), max_pixels)
     if raw.dtype not in (np.uint8, np.uint16) or raw.shape[2] != 1:
         raise DatasetError(
             f"{path} is not a label image: {raw.shape[2]} channel(s) of {raw.dtype}; "
@@ -105,18 +110,19 @@ def read_labels(path: PathLike) -> NDArray[np.int32]:
 def _has_palette(path: Path) -> bool:
     """Whether a file is a PNG whose pixels are indices of a palette."""
     try:
+        check_regular(path)
         with path.open("rb") as file:
             start = file.read(26)
-    except OSError:
+    except (OSError, DamagedError):
         return False  # reading it reports why
     return start.startswith(_PNG_SIGNATURE) and start[25:26] == _PALETTE
 
 
-def _palette_indices(path: Path) -> NDArray[np.int32]:
+def _palette_indices(path: Path, max_pixels: int) -> NDArray[np.int32]:
     """Read the indices, which the other decoders replace by the colours of the palette."""
     from PIL import Image, UnidentifiedImageError
 
-    check_whole(path)
+    check_whole(path, max_pixels)
     try:
         with Image.open(path) as image:
             return np.asarray(image).astype(np.int32)
@@ -179,15 +185,15 @@ def small_image(rgb: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def check_whole(path: PathLike) -> None:
+def check_whole(path: PathLike, max_pixels: int = MAX_PIXELS) -> None:
     """Check that an image file exists and is structurally complete, without decoding it.
 
     Raises:
         DatasetError: the file is missing, empty or truncated, or a PNG checksum does not match.
     """
     try:
-        content = read_content(path)
-        check_pixels(content)
+        content = read_content(path, MAX_IMAGE_BYTES)
+        check_pixels(content, max_pixels)
     except OSError as error:
         raise DatasetError(
             f"cannot read image {path}: {error.strerror}; check the path and its permissions"
@@ -223,9 +229,9 @@ def _png_fault(content: bytes) -> str | None:
     return "is truncated"
 
 
-def _read(path: Path) -> NDArray:
+def _read(path: Path, max_pixels: int) -> NDArray:
     """Read the pixels [H, W, C] of an image file in RGB(A) order and the file's dtype."""
-    check_whole(path)
+    check_whole(path, max_pixels)
     try:
         image = _decoder()(path)
     except RuntimeError as error:

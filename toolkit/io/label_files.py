@@ -148,4 +148,5 @@ def _columns(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -26,6 +26,7 @@ from toolkit.io.guarded.archive import Archive
 from toolkit.io.guarded.content import read_content
 from toolkit.io.guarded.documents import parse_json
 from toolkit.io.guarded.images import decoded
+from toolkit.io.guarded.lzfse_streams import decompressed
 from toolkit.io.user_files import visible
 
 # Images and notes are far smaller.
@@ -171,8 +172,8 @@ class Record3DFile:
                 "fix it with: pip install 'semsplat[record3d]'"
             ) from error
         try:
-            return bytes(lzfse.decompress(self._read(name)))
-        except (lzfse.error, ValueError) as error:
+            return decompressed(self._read(name), lzfse)
+        except ValueError as error:
             raise DatasetError(
                 f"{name} in {self.path} is damaged ({error}); export it again"
             ) from error

@@ -86,7 +86,8 @@ def size_of(message: Any) -> tuple[int, int]:
     """Width and height of an image."""
     if hasattr(message, "encoding"):
         return int(message.width), int(message.height)
-    height, width = _decoded(message).shape[:2]
+    skipped = _DEPTH_HEADER.size if "compressedDepth" in str(message.format) else 0
+    height, width = _decoded(message, skipped).shape[:2]
     return width, height
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from toolkit.errors import DatasetError, FormatError
 from toolkit.io.compressed_ply import MIP_COMMENT, write_compressed_ply
 from toolkit.io.dot_splat import read_dot_splat, write_dot_splat
+from toolkit.io.guarded.content import DamagedError
 from toolkit.io.ksplat import read_ksplat
 from toolkit.io.label_files import read_label_file, write_label_file
 from toolkit.io.sog import is_filtered_sog, read_sog
@@ -255,8 +256,11 @@ def read_splats(path: PathLike) -> Splats:
     if read is None:
         raise FormatError(f"{path} must end in one of {', '.join(SUFFIXES)}")
     # Values that are not finite are left out below.
-    with np.errstate(over="ignore", invalid="ignore"):
-        columns = read(path)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            columns = read(path)
+    except DamagedError as error:
+        raise FormatError(f"{path} cannot be read ({error}); write it again") from error
     beside = read_label_file(path, len(columns.get("positions", ())))
     if beside is not None:
         columns |= {name: column[:, None] for name, column in beside.columns.items()}

@@ -13,6 +13,7 @@ from toolkit.errors import DependencyError, RunFolderError
 from toolkit.io.arrays import ArrayTree, read_array_tree, write_array_tree
 from toolkit.io.atomic import TEMPORARY, cannot_write, replacing
 from toolkit.io.atomic import write_bytes as write_local
+from toolkit.io.guarded.content import read_content
 
 
 def is_url(place: str) -> bool:
@@ -49,7 +50,7 @@ def read_bytes(place: str) -> bytes:
     """
     try:
         if not is_url(place):
-            return Path(place).read_bytes()
+            return read_content(place)
         system, path = _system(place)
         return bytes(system.cat_file(path))
     except DependencyError:

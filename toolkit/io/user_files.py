@@ -6,14 +6,16 @@ import codecs
 import os
 from pathlib import Path
 
-from toolkit.io.guarded.content import MAX_BYTES, read_content
+from toolkit.io.guarded.content import read_content
 
+# A million poses with their covariances.
+_MAX_TEXT = 2**28
 # Folders and files that macOS and Windows add. Names that start with a dot are hidden everywhere;
 # macOS writes ._NAME beside each NAME on the disks and into the archives of other systems.
 _ADDED = ("__MACOSX", "Thumbs.db", "ehthumbs.db", "desktop.ini")
 
 
-def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> str:
+def read_text(path: str | os.PathLike[str], max_bytes: int = _MAX_TEXT) -> str:
     """Read a text file in UTF-8, with or without a byte order mark, or in UTF-16 with one.
 
     Raises:

@@ -11,7 +11,11 @@ from typing import Any
 
 from toolkit.errors import FormatError, RunFolderError
 from toolkit.io.atomic import cannot_write
+from toolkit.io.guarded.content import DamagedError, read_content
 from toolkit.io.guarded.documents import parse_json
+
+# Of hundreds of thousands of loop candidates.
+_MAX_BYTES = 2**30
 
 _log = logging.getLogger(__name__)
 
@@ -85,9 +89,11 @@ def read_loop_log(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
         FormatError: the file is missing or a line is not a JSON object.
     """
     try:
-        content = Path(path).read_bytes()
+        content = read_content(path, _MAX_BYTES)
     except OSError as error:
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
+    except DamagedError as error:
+        raise FormatError(f"cannot read {path}: {error}; restore it, or run again") from error
     *lines, rest = content.split(b"\n")
     if rest:
         _log.warning("%s: skipped the incomplete last line", path)

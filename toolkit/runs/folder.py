@@ -37,6 +37,7 @@ from toolkit.io.object_embeddings import OBJECTS
 from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.io.splat_parts import write_splat_parts
 from toolkit.io.trajectories import read_tum, write_tum
+from toolkit.io.user_files import read_text
 from toolkit.runs.formats import counted, upgraded_decoder
 from toolkit.runs.lock import LOCK, is_unused
 from toolkit.runs.settings import other_keys
@@ -189,8 +190,8 @@ class RunFolder:
             SettingsError: they differ; the message contains the first differing line.
         """
         try:
-            stored = self.config.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
+            stored = read_text(self.config).splitlines()
+        except (OSError, ValueError) as error:
             raise RunFolderError(f"cannot read {self.config} ({error}); start a new run") from error
         for old, new in zip_longest(stored, config.splitlines(), fillvalue="(nothing)"):
             if old != new:

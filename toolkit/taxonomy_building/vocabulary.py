@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 from importlib import resources
 from typing import Any
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 # Neighbouring shapes are the most similar.
 SHAPES = ("flat", "long", "tall", "boxy", "legged", "round", "hollow", "soft", "irregular")
@@ -85,6 +87,7 @@ _IRREGULAR = {
 _BRACKETS = re.compile(r"\(([^)]*)\)")
 _MIN_ENDING = 4  # minimum length of the ending of a compound: "shelf" in "bookshelf"
 _MIN_MISSPELT = 6  # minimum length of a word that is compared with misspellings
+_SIMILAR = 0.88  # minimum similarity of misspellings, as difflib measures it
 
 
 class ObjectVocabulary:
@@ -96,6 +99,9 @@ class ObjectVocabulary:
 
     def __init__(self, tree: Mapping[str, Any]) -> None:
         self._entries = {_squeezed(e.word): e for e in _entries(tree, ())}
+        self._spellings = _Spellings(list(self._entries))
+        # A name is looked up for every question about it.
+        self._found: dict[str, Entry] = {}
         # In the order of the file; related functions are neighbours.
         self.functions = tuple(dict.fromkeys(e.function for e in self._entries.values()))
 
@@ -112,6 +118,11 @@ class ObjectVocabulary:
         ending ("tall office chair"), the ending of a compound ("bookshelf"), a misspelling, any
         word of the name, any word in brackets ("quiche (food)").
         """
+        if name not in self._found:
+            self._found[name] = self._look_up(name)
+        return self._found[name]
+
+    def _look_up(self, name: str) -> Entry:
         words = _words(name)
         found = self._exact(words)
         if found:
@@ -163,8 +174,8 @@ class ObjectVocabulary:
     def _misspelt(self, words: Sequence[str]) -> Entry | None:
         if not words or len(words[-1]) < _MIN_MISSPELT:
             return None
-        close = difflib.get_close_matches(words[-1], self._entries, n=1, cutoff=0.88)
-        return self._qualified(self._entries[close[0]], words[:-1]) if close else None
+        close = self._spellings.closest(words[-1])
+        return self._qualified(self._entries[close], words[:-1]) if close else None
 
     def _mentioned(self, words: Sequence[str]) -> Entry | None:
         """Return the entry of the last known word, with unknown shape and limited size."""
@@ -176,6 +187,30 @@ class ObjectVocabulary:
                     size_m = min(found.size_m, UNKNOWN.size_m)
                     return replace(found, size_m=size_m, shape=UNKNOWN.shape)
         return None
+
+
+class _Spellings:
+    """Words, and which of them is spelt like another one.
+
+    Comparing a word with all of them takes milliseconds; most share too few letters.
+    """
+
+    def __init__(self, words: list[str]) -> None:
+        self._words, self._letters = words, sorted(set("".join(words)))
+        self._counts = np.array([self._counts_of(word) for word in words])
+        self._lengths = np.array([len(word) for word in words])
+
+    def closest(self, word: str) -> str | None:
+        """The most similar word, None if no word is similar."""
+        if not self._words:
+            return None
+        shared = np.minimum(self._counts, self._counts_of(word)).sum(axis=1)
+        is_near = 2.0 * shared >= (_SIMILAR - 1e-6) * (self._lengths + len(word))
+        near = [self._words[index] for index in np.flatnonzero(is_near)]
+        return next(iter(difflib.get_close_matches(word, near, n=1, cutoff=_SIMILAR)), None)
+
+    def _counts_of(self, word: str) -> NDArray[np.int16]:
+        return np.array([word.count(letter) for letter in self._letters], np.int16)
 
 
 @functools.cache

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from toolkit.io.exr import read_exr
 from toolkit.io.guarded.content import DamagedError
 from toolkit.io.guarded.images import check_pixels, decoded, image_size
 
@@ -52,3 +53,19 @@ def test_what_is_no_image(content: bytes):
     assert image_size(content) is None
     with pytest.raises(DamagedError, match="no image"):
         decoded(content, cv2.IMREAD_COLOR)
+
+
+def test_the_size_of_an_exr_is_that_of_its_data_window(tmp_path):
+    openexr = pytest.importorskip("OpenEXR")
+    file = tmp_path / "depth.exr"
+    header = {"compression": openexr.ZIP_COMPRESSION, "type": openexr.scanlineimage}
+    openexr.File(header, {"R": np.ones((30, 50), np.float32)}).write(str(file))
+    content = file.read_bytes()
+    assert image_size(content) == (50, 30)
+    assert read_exr(file, "record3d").shape == (30, 50)
+    place = content.find(b"dataWindow") + 21
+    file.write_bytes(
+        content[: place + 8] + struct.pack("<ii", 60_000, 60_000) + content[place + 16 :]
+    )
+    with pytest.raises(DamagedError, match="60001x60001 pixels"):
+        read_exr(file, "record3d")

@@ -16,7 +16,12 @@ from fake_endpoint import KEY, honest, knows_no, says
 from benchmarks.chat_server import Response, fails
 from toolkit.errors import DependencyError, SettingsError, ToolkitError
 from toolkit.taxonomy_building.grouper import Question
-from toolkit.taxonomy_building.language_model.chat import ChatAnswer, ModelIdentity
+from toolkit.taxonomy_building.language_model import transport
+from toolkit.taxonomy_building.language_model.chat import (
+    ChatAnswer,
+    ModelIdentity,
+    NoModelError,
+)
 from toolkit.taxonomy_building.language_model.endpoint import (
     Endpoint,
     endpoint_from_environment,
@@ -293,3 +298,31 @@ def test_the_packages_own_key_is_never_sent(fake, monkeypatch):
     monkeypatch.setenv("OPENAI_API_KEY", "sk-of-someone-else")
     Endpoint(ModelIdentity(fake.url, "m"), "", np.random.default_rng(0)).complete(REQUEST)
     assert "someone-else" not in str(fake.headers)
+
+
+def test_an_answer_without_end_is_not_read_to_its_end(fake, connect, monkeypatch):
+    monkeypatch.setattr(transport, "_MAX_RESPONSE_BYTES", 10_000)
+    for status in (200, 500):
+        fake.behaviours = [lambda request, s=status: Response(body=" " * 20_000, status=s)]
+        endpoint, waits = connect()
+        with pytest.raises(NoModelError, match=r"sent more than 9\.77 KB as an answer"):
+            endpoint.complete(REQUEST)
+        assert waits == []
+
+
+def test_answers_that_are_compressed_unasked_are_refused(fake, connect):
+    """Their length is known only once they are in memory."""
+    headers = {"Content-Encoding": "gzip"}
+    fake.behaviours = [lambda request: Response(body="packed", headers=headers)]
+    endpoint, _ = connect()
+    with pytest.raises(NoModelError, match="compresses its answers by gzip"):
+        endpoint.complete(REQUEST)
+    assert fake.headers["accept-encoding"] == "identity"
+
+
+def test_control_characters_of_an_answer_are_escaped_in_errors(fake, connect):
+    fake.behaviours = [lambda request: Response(body="\x1b[31mred")]
+    endpoint, _ = connect()
+    with pytest.raises(NoModelError) as raised:
+        endpoint.complete(REQUEST)
+    assert str(raised.value).isprintable()

@@ -12,6 +12,9 @@ from toolkit.io.printable import printable
 
 PathLike = str | os.PathLike[str]
 
+# Larger files of which less than half was written are copies or downloads that were not finished.
+_MAX_HOLES = 2**30
+
 # As many as maps of hundreds of millions of splats have.
 MAX_BYTES = 2**36
 _MAX_REASON = 200
@@ -43,6 +46,22 @@ def check_regular(path: PathLike, max_bytes: int = MAX_BYTES) -> None:
         raise DamagedError("it is a device or a pipe, not a file")
     if status.st_size > max_bytes:
         raise DamagedError(f"it has {size_text(status.st_size)}, more than {size_text(max_bytes)}")
+    if status.st_size > _MAX_HOLES and _written_bytes(path, status.st_size) < status.st_size // 2:
+        raise DamagedError(f"most of its {size_text(status.st_size)} were never written")
+
+
+def _written_bytes(path: PathLike, size: int) -> int:
+    """Bytes of a file that are not in holes, up to half of its size."""
+    written = end = 0
+    with open(path, "rb", buffering=0) as file:
+        while end < size and written < size // 2:
+            try:
+                start = os.lseek(file.fileno(), end, os.SEEK_DATA)
+            except OSError:  # nothing follows, or the file system does not say
+                break
+            end = os.lseek(file.fileno(), start, os.SEEK_HOLE)
+            written += end - start
+    return written
 
 
 def read_content(path: PathLike, max_bytes: int = MAX_BYTES) -> bytes:

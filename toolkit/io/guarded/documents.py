@@ -13,6 +13,8 @@ from toolkit.io.guarded.content import DamagedError, PathLike, damage
 from toolkit.io.user_files import read_text
 
 _MAX_JSON, _MAX_YAML = 2**28, 2**22
+# Characters that may separate values of YAML, which takes 30 us for each.
+_SEPARATORS, _MAX_SEPARATORS = ",:-?[{\n", 300_000
 # Python reads numbers of any length, which no file needs, and which cannot be converted.
 _MAX_DIGITS = 40
 _LONG = re.compile(rf"\d{{{_MAX_DIGITS}}}\d")
@@ -27,18 +29,19 @@ _FLOAT = re.compile(
 _MERGE = "tag:yaml.org,2002:merge"
 
 
-def read_json(path: PathLike, any_characters: bool = False) -> Any:
+def read_json(path: PathLike, any_characters: bool = False, max_bytes: int = _MAX_JSON) -> Any:
     """Read a JSON file.
 
     Args:
         any_characters: as of `parse_json`.
+        max_bytes: limit of its size.
 
     Raises:
         OSError: it cannot be read.
         DamagedError: as of `parse_json`; it is too large, or not UTF-8.
     """
     with damage():
-        return parse_json(read_text(path, _MAX_JSON), any_characters=any_characters)
+        return parse_json(read_text(path, max_bytes), any_characters=any_characters)
 
 
 def parse_json(
@@ -88,6 +91,8 @@ def parse_yaml(text: str) -> Any:
     """
     import yaml  # only some layouts need it, so it may be missing on a GPU server
 
+    if sum(map(text.count, _SEPARATORS)) > _MAX_SEPARATORS:
+        raise DamagedError(f"it may have more than {_MAX_SEPARATORS:,} values")
     with damage():
         values = yaml.load(text, Loader=_yaml_loader())
         _check_values(values, _MAX_VALUES)

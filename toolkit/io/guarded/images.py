@@ -12,9 +12,12 @@ from toolkit.io.guarded.content import DamagedError
 
 # As many as a photograph of 8192x8192 pixels, 0.8 GB as numbers of 32 bits.
 MAX_PIXELS = 2**26
+# As many as such an image has with four channels of 16 bits.
+MAX_IMAGE_BYTES = 2**29
 # The header of a JPEG may follow a thumbnail, a profile of colours and notes.
 _HEADER = 2**22
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+_EXR, _DATA_WINDOW = b"\x76\x2f\x31\x01", b"dataWindow\0box2i\0"
 # Markers of JPEG that start a frame, and those without content.
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _EMPTY = frozenset({0x01, *range(0xD0, 0xD8)})
@@ -39,7 +42,7 @@ def decoded(content: bytes | NDArray[np.uint8], flags: int) -> NDArray:
 
 
 def check_pixels(content: bytes, max_pixels: int = MAX_PIXELS) -> None:
-    """Check the number of pixels that the header of a PNG or JPEG declares.
+    """Check the number of pixels that the header of a PNG, JPEG or EXR declares.
 
     Raises:
         DamagedError: it is larger than the limit.
@@ -50,11 +53,21 @@ def check_pixels(content: bytes, max_pixels: int = MAX_PIXELS) -> None:
 
 
 def image_size(content: bytes) -> tuple[int, int] | None:
-    """Width and height in the header of a PNG or JPEG; None for others and without header."""
+    """Width and height in the header of a PNG, JPEG or EXR; None for others and without one."""
+    if content.startswith(_EXR):
+        return _exr_size(content)
     if content.startswith(_PNG) and len(content) >= 24:
         width, height = struct.unpack_from(">II", content, 16)
         return int(width), int(height)
     return _jpeg_size(content) if content.startswith(_JPEG) else None
+
+
+def _exr_size(content: bytes) -> tuple[int, int] | None:
+    place = content.find(_DATA_WINDOW)
+    if place < 0 or len(content) < place + len(_DATA_WINDOW) + 20:
+        return None
+    left, top, right, bottom = struct.unpack_from("<4i", content, place + len(_DATA_WINDOW) + 4)
+    return max(0, right - left + 1), max(0, bottom - top + 1)
 
 
 def _jpeg_size(content: bytes) -> tuple[int, int] | None:

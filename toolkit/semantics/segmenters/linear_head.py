@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from toolkit.errors import DependencyError, FormatError
 from toolkit.frame import Frame
 from toolkit.io.atomic import replacing
+from toolkit.io.guarded.content import check_regular
 from toolkit.io.guarded.documents import parse_json
 from toolkit.semantics.segmenters.patch_features import PatchEncoder
 from toolkit.semantics.segmenters.transformers_models import confident_labels
 
 _FORMAT = "semsplat-linear-head-1"
+_MAX_BYTES = 2**30
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,7 @@ class LinearHead:
         if not path.is_file():
             raise FormatError(f"{path} does not exist; train a head with: semsplat train-head")
         try:
+            check_regular(path, _MAX_BYTES)
             with torch_files.safe_open(path, framework="pt") as file:
                 header = file.metadata() or {}
                 if header.get("format") != _FORMAT:

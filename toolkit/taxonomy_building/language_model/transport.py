@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import email.utils
+import sys
 import time
-from collections.abc import Coroutine, Mapping
+from collections.abc import AsyncIterator, Coroutine, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
 from toolkit.errors import DependencyError, SettingsError, ToolkitError
+from toolkit.io.guarded.content import size_text
+from toolkit.io.printable import printable
 from toolkit.taxonomy_building.language_model.chat import NoModelError
 
 # Shorter keys are placeholders for servers without authentication ("EMPTY") and are not redacted,
 # because they can occur in answers.
 _MIN_SECRET_LENGTH = 8
 _MAX_EXCERPT_LENGTH = 200  # maximum number of characters of a response in an error
+# The longest answers of models have a few hundred kilobytes.
+_MAX_RESPONSE_BYTES = 2**24
 
 
 class TransientError(ToolkitError):
@@ -44,6 +49,10 @@ class RefusedError(ToolkitError):
         super().__init__(f"status {status}: {one_line(text)}")
         self.status = status
         self.text = text
+
+
+class TooLongError(ToolkitError):
+    """A response is too long, or compressed, so that its length is unknown."""
 
 
 class Transport:
@@ -80,7 +89,11 @@ class Transport:
             return self._without_key(_finished(self._response(body, time_s)))
         except (openai.APITimeoutError, TimeoutError):
             raise TransientError(f"no answer within {time_s:.0f} s") from None
+        except TooLongError as error:
+            raise NoModelError(str(error)) from None
         except openai.APIConnectionError as error:
+            if isinstance(error.__cause__, TooLongError):
+                raise NoModelError(str(error.__cause__)) from None
             reason = self._without_key(one_line(str(error.__cause__ or error)))
             raise TransientError(f"no connection ({reason})") from None
         except openai.APIStatusError as error:
@@ -98,13 +111,51 @@ class Transport:
                 api_key=self._api_key or "none",  # otherwise the client reads OPENAI_API_KEY
                 max_retries=0,
                 timeout=time_s,
+                default_headers={"Accept-Encoding": "identity"},
+                http_client=self._openai.DefaultAsyncHttpxClient(
+                    event_hooks={"response": [self._limit]}
+                ),
             ) as client:
                 response = await client.chat.completions.with_raw_response.create(**body)
                 return response.http_response.text
 
+    async def _limit(self, response: Any) -> None:
+        """Stop reading a response of httpx at the limit; called before its content is read."""
+        encoding = response.headers.get("content-encoding", "identity")
+        if encoding != "identity":
+            raise TooLongError(
+                f"{self._base_url} compresses its answers by {one_line(encoding)}, although it "
+                "must not; switch compression off there"
+            )
+        response.stream = _limited(response, self._base_url)
+
     def _without_key(self, text: str) -> str:
         hidden = len(self._api_key) >= _MIN_SECRET_LENGTH
         return text.replace(self._api_key, "***") if hidden else text
+
+
+def _limited(response: Any, base_url: str) -> Any:
+    """The stream of a response, which ends with an error at the limit."""
+    # httpx, or httpx2 of recent versions of openai, which accept streams of their own class only.
+    library = sys.modules[type(response).__module__.partition(".")[0]]
+    stream = response.stream
+
+    class Limited(library.AsyncByteStream):  # type: ignore[name-defined]
+        async def __aiter__(self) -> AsyncIterator[bytes]:
+            count = 0
+            async for part in stream:
+                count += len(part)
+                if count > _MAX_RESPONSE_BYTES:
+                    raise TooLongError(
+                        f"{base_url} sent more than {size_text(_MAX_RESPONSE_BYTES)} as an answer; "
+                        "check --base-url"
+                    )
+                yield part
+
+        async def aclose(self) -> None:
+            await stream.aclose()
+
+    return Limited()
 
 
 def status_error(status: int, text: str, wait_s: float = 0.0) -> TransientError | RefusedError:
@@ -119,7 +170,7 @@ def status_error(status: int, text: str, wait_s: float = 0.0) -> TransientError 
 
 def one_line(text: str) -> str:
     """Return the beginning of a text on one line, for an error message."""
-    line = " ".join(text.split())
+    line = printable(" ".join(text[: 100 * _MAX_EXCERPT_LENGTH].split()))
     return line if len(line) <= _MAX_EXCERPT_LENGTH else line[: _MAX_EXCERPT_LENGTH - 3] + "..."
 
 

@@ -1,0 +1,359 @@
+"""Formats that the toolkit reads, each with a valid sample and the reader that users reach."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import hostile_maps as maps
+from benchmarks import hostile_recordings as recordings
+from benchmarks.hostile_scenes import large_package, many_class_names
+from benchmarks.hostile_server import answering
+
+_LARGE = 20 * 2**30
+
+Read = Callable[[Path], None]
+_ERROR = re.compile(r"^semsplat: error: ", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A valid sample of a format.
+
+    Attributes:
+        area: row of the table.
+        write: writes it into an empty folder.
+        read: reads all of it from the folder, by the functions of a job.
+        weight: share of the attempts; smaller for slow readers.
+        special: attacks of this format only, by name: each changes the folder.
+        files: names of the files to attack, as patterns; by default, all.
+        command: words of a job that reads it, for FOLDER; empty if `read` calls one.
+        named: what messages name instead of the file.
+    """
+
+    area: str
+    write: Callable[[Path], None]
+    read: Read
+    weight: float = 1.0
+    special: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
+    files: tuple[str, ...] = ("*",)
+    command: tuple[str, ...] = ()
+    named: str = ""
+
+
+class RefusedError(Exception):
+    """A job that ended with an error of one or more lines."""
+
+
+def command(*words: str) -> Read:
+    """Runs a job in this process; FOLDER in its words is replaced.
+
+    Raises:
+        RefusedError: it reported an error.
+    """
+
+    def read(folder: Path) -> None:
+        from toolkit.cli.main import main
+
+        os.chdir(folder)
+        shown = io.StringIO()
+        with contextlib.redirect_stderr(shown), contextlib.redirect_stdout(io.StringIO()):
+            status = main([word.replace("FOLDER", os.fspath(folder)) for word in words])
+        if status:
+            raise RefusedError(_ERROR.split(shown.getvalue())[-1].rstrip("\n"))
+
+    return read
+
+
+def dataset(kind: str, name: str = "", needs_depth: bool = True) -> Read:
+    """Opens a dataset, loads all frames, and looks for faults."""
+
+    def read(folder: Path) -> None:
+        from toolkit.datasets.checks import check_recording
+        from toolkit.datasets.registry import describe, open_dataset
+        from toolkit.errors import ToolkitError
+        from toolkit.io.class_names import read_class_colours
+
+        path = folder / name
+        with contextlib.suppress(ToolkitError):  # what it says is checked below
+            check_recording(describe(kind, path))
+        opened = open_dataset(kind, path, needs_depth=needs_depth)
+        for frame in opened:
+            assert frame.rgb is not None
+        classes = folder / "labels/classes.json"
+        if classes.is_file():
+            read_class_colours(classes)
+
+    return read
+
+
+def splats(name: str) -> Read:
+    """Reads a file of splats with what lies beside it."""
+
+    def read(folder: Path) -> None:
+        from toolkit.io.splats import read_splats
+
+        assert len(read_splats(folder / name).means) > 0
+
+    return read
+
+
+def each(readers: Mapping[str, Read]) -> Read:
+    """Reads the files of a folder, each by the reader of its name."""
+
+    def read(folder: Path) -> None:
+        for name, reader in readers.items():
+            reader(folder / name)
+
+    return read
+
+
+def _class_colours(path: Path) -> None:
+    from toolkit.io.class_names import read_class_colours, read_class_names
+
+    read_class_names(path)
+    read_class_colours(path)
+
+
+def _tree(path: Path) -> None:
+    from toolkit.semantics.taxonomy import Taxonomy
+
+    Taxonomy.load(path)
+
+
+def _shapes(path: Path) -> None:
+    from toolkit.taxonomy_building.shapes import read_shape_table
+
+    read_shape_table(path).embeddings(maps.CLASSES)
+
+
+def _exchanges(path: Path) -> None:
+    from toolkit.taxonomy_building.language_model.exchanges import ReplayedModel
+
+    assert ReplayedModel(path).identity.model
+
+
+def _answer(path: Path) -> None:
+    """Asks a server of a language model that answers with the content of the file."""
+    from toolkit.taxonomy_building.language_model.chat import ChatRequest, ModelIdentity
+    from toolkit.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
+
+    with answering(path) as address:
+        identity, chance = ModelIdentity(address, "m"), np.random.default_rng(0)
+        endpoint = Endpoint(
+            identity, "", chance, RetryOptions(request_timeout_s=8.0, max_attempts=1)
+        )
+        endpoint.complete(ChatRequest("system", "user", {"type": "object"}))
+
+
+def _masks(folder: Path) -> None:
+    from toolkit.instances.mask_images import MaskImageFolder
+
+    masks = MaskImageFolder(folder, {0: folder / "000000.png"})
+    masks.class_names()
+    masks.masks(_keyframe())
+
+
+def _coco(folder: Path) -> None:
+    from toolkit.instances.coco import CocoMasks
+
+    masks = CocoMasks(folder / "masks.json")
+    masks.class_names()
+    masks.masks(_keyframe())
+
+
+def _keyframe() -> Any:
+    from types import SimpleNamespace
+
+    from toolkit.geometry.camera import Camera
+
+    camera = Camera(30.0, 31.0, 15.5, 11.5, recordings.WIDTH, recordings.HEIGHT)
+    return SimpleNamespace(index=0, camera=camera)
+
+
+def _embeddings(folder: Path) -> None:
+    from toolkit.io.object_embeddings import read_objects
+
+    assert len(read_objects(folder / "objects.npz").ids) > 0
+
+
+def _depth_map(path: Path) -> None:
+    from toolkit.depth_priors.providers.depth_maps import read_map
+
+    assert read_map(path, 1000.0).size > 0
+
+
+def _models(folder: Path) -> None:
+    from toolkit.errors import FormatError
+    from toolkit.evaluation.lpips import Lpips
+    from toolkit.features.pretrained.loading import model_type
+    from toolkit.features.pretrained.preprocessing import ImagePreprocessing
+    from toolkit.semantics.segmenters.linear_head import LinearHead
+
+    ImagePreprocessing.load(folder)
+    model_type(folder)
+    LinearHead.load(folder / "head.safetensors")
+    try:
+        Lpips.load((folder / "lpips.pth",))
+    except FormatError as error:
+        if "features.0.weight is missing" not in str(error):
+            raise
+
+
+def _plan(path: Path) -> None:
+    from toolkit.batch.plan import load_plan
+
+    load_plan(path)
+
+
+def _settings(path: Path) -> None:
+    from toolkit.runs.settings import load_settings
+
+    load_settings(path)
+
+
+def _run(folder: Path) -> None:
+    from toolkit.evaluation.metrics import flattened, read_metrics
+    from toolkit.io.arrays import read_array_tree
+    from toolkit.loops.log import read_loop_log
+    from toolkit.runs.finished import load_run
+    from toolkit.runs.saved_objects import load_objects
+
+    run = load_run(folder / "run")
+    load_objects(run.folder)
+    flattened(read_metrics(run.folder.metrics))
+    read_loop_log(folder / "run/loops.jsonl")
+    for submap in sorted((folder / "run/submaps").iterdir()):
+        read_array_tree(submap)
+
+
+_RUN_FILES = ("*.json", "*.jsonl", "*.yaml", "*.txt", "*.npz", "*.ply")
+_SPLAT_NAMES = {
+    "PLY": "map.ply",
+    "compressed PLY": "map.compressed.ply",
+    ".splat": "map.splat",
+    "SPZ": "map.spz",
+    "SOG": "map.sog",
+    "GLB": "map.splats.glb",
+    "glTF": "map.splats.gltf",
+    "USD text": "map.usda",
+    "USD binary": "map.usdc",
+    "USDZ": "map.usdz",
+}
+
+
+def _recording(
+    kind: str,
+    write: Callable[[Path], None],
+    name: str = "",
+    area: str | None = None,
+    needs_depth: bool = True,
+) -> Sample:
+    words = ("check-data", "--kind", kind, "--path", f"FOLDER/{name}")
+    return Sample(
+        f"recordings: {area or kind}", write, dataset(kind, name, needs_depth), command=words
+    )
+
+
+def _samples() -> dict[str, Sample]:
+    """All samples by name."""
+    r = recordings
+    found = {
+        "folder": _recording("folder", r.write_folder),
+        "replica": _recording("replica", r.write_replica),
+        "tum": _recording("tum", r.write_tum),
+        "seven-scenes": _recording("seven-scenes", r.write_seven_scenes),
+        "scannet": _recording("scannet", r.write_scannet),
+        "nerfstudio": _recording("nerfstudio", r.write_nerfstudio),
+        "blender": _recording("nerfstudio", r.write_blender, needs_depth=False),
+        "stray-scanner": _recording("stray-scanner", r.write_stray_scanner),
+        "polycam": _recording("polycam", r.write_polycam),
+        "r3d": _recording("record3d", r.write_record3d, "walk.r3d"),
+        "record3d export": _recording("record3d", r.write_record3d_export),
+        "colmap text": _recording("colmap", r.write_colmap, needs_depth=False),
+        "colmap binary": _recording("colmap", r.write_colmap_binary, needs_depth=False),
+        "film": _recording(
+            "video", r.write_film, "film.mp4", "films and photos", needs_depth=False
+        ),
+        "photos": _recording("images", r.write_photos, area="films and photos", needs_depth=False),
+    }
+    for storage in ("ros1", "sqlite3", "mcap"):
+        name = "recording.bag" if storage == "ros1" else "recording"
+        found[f"bag {storage}"] = _recording("bag", r.bag_writer(storage), name, "bags")
+    for title, file in _SPLAT_NAMES.items():
+        area = "splats: glTF and USD" if file.endswith(("tf", "lb", "a", "c", "z")) else "splats"
+        area = "splats" if file.endswith("spz") else area
+        found[title] = Sample(area, maps.splat_writer(file), splats(file))
+    found["USDZ"] = replace(found["USDZ"], special={"a package of 20 GB": large_package})
+    found["SPZ 2"] = Sample("splats", maps.splat_writer("map.spz", 2), splats("map.spz"))
+    found["SOG in a folder"] = Sample("splats", maps.write_unpacked_sog, splats("meta.json"))
+    found["ksplat"] = Sample("splats", maps.write_ksplat, splats("map.ksplat"))
+    return found | _other_samples()
+
+
+def _other_samples() -> dict[str, Sample]:
+    """Samples of classes, objects, runs, models and settings."""
+    review = ("build-taxonomy", "--review", "--classes")
+    names = {"classes.json": _class_colours, "tree.yaml": _tree, "tree.json": _tree}
+    tables = {"shapes.json": _shapes, "shapes.csv": _shapes}
+    depth_maps = dict.fromkeys(("a.npy", "b.png", "c.tif", "d.exr"), _depth_map)
+    settings = {"settings.yaml": _settings, "plan.yaml": _plan}
+    run_words = (
+        *("run", "--resume", "--config", "FOLDER/run/config.yaml", "--out", "FOLDER/run"),
+        *("--dataset.path", "FOLDER/data"),
+    )
+    classes = "classes and trees"
+    return {
+        "class lists": Sample(classes, maps.write_class_lists, each(names)),
+        "class names": Sample(
+            classes,
+            maps.write_class_lists,
+            command(*review, "FOLDER/names.txt"),
+            special={"60,000 classes": many_class_names(60_000, "names.txt")},
+            files=("names.txt",),
+        ),
+        "shapes": Sample(classes, maps.write_shapes, each(tables)),
+        "answers": Sample(
+            classes,
+            maps.write_answer,
+            each({"answer.json": _answer}),
+            named="http://127.0.0.1",
+            special={
+                "an answer of 20 GB": lambda folder: os.truncate(folder / "answer.json", _LARGE)
+            },
+        ),
+        "exchanges": Sample(classes, maps.write_exchanges, each({"exchanges.json": _exchanges})),
+        "masks": Sample("masks and objects", maps.write_masks, _masks),
+        "COCO": Sample("masks and objects", maps.write_coco, _coco),
+        "embeddings": Sample("masks and objects", maps.write_embeddings, _embeddings),
+        "depth maps": Sample("depth maps and models", maps.write_depth_maps, each(depth_maps)),
+        "models": Sample("depth maps and models", maps.write_models, _models),
+        "settings": Sample("settings and plans", maps.write_settings, each(settings)),
+        "run": Sample(
+            "run folders",
+            maps.write_run,
+            _run,
+            weight=2.0,
+            files=tuple(f"run/{p}" for p in _RUN_FILES),
+            command=("query", "FOLDER/run", "--list"),
+        ),
+        "checkpoints": Sample(
+            "run folders",
+            maps.write_killed_run,
+            command(*run_words),
+            weight=0.5,
+            files=tuple(f"run/{p}" for p in _RUN_FILES),
+        ),
+    }
+
+
+SAMPLES = _samples()
+AREAS = tuple(dict.fromkeys(sample.area for sample in SAMPLES.values()))
