@@ -31,7 +31,9 @@ def recording(folder):
 def reads(monkeypatch):
     """How often each image file is read."""
     counted, read = Counter(), images._read
-    monkeypatch.setattr(images, "_read", lambda path: counted.update([path]) or read(path))
+    monkeypatch.setattr(
+        images, "_read", lambda path, *limits: counted.update([path]) or read(path, *limits)
+    )
     return counted
 
 
