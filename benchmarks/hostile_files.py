@@ -17,7 +17,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ class Options(ReportOptions):
     """Give damaged and hostile files to the readers of an earlier commit and of this one."""
 
     commit: str = "1a8233b1"
-    """The earlier commit; empty for this one only, whose table is printed and not written."""
+    """The earlier commit; empty for this one only."""
     crafted: int = 1317
     """Number of crafted files."""
     mutated: int = 1140
@@ -55,37 +55,45 @@ class Options(ReportOptions):
 
 
 def main() -> None:
-    """Try all areas with both commits."""
+    """Try all areas, first with this commit."""
     options = tyro.cli(Options)
-    description = DESCRIPTION.format(
-        crafted=options.crafted,
-        mutated=options.mutated,
-        seed=options.seed,
-        commit=options.commit,
-        limit_s=MAX_S,
-        limit_gb=MAX_BYTES // 2**30,
-    )
-    report = Report("hostile-files", "Damaged and hostile files", description, options)
-    names = ("commit", "crafted", "mutated", "seed")
+    names = ("crafted", "mutated", "seed", "commit")
     given = {name: getattr(options, name) for name in names}
-    jobs = {area: given | {"area": area} for area in AREAS}
-    with _trees(options.commit) as trees, _workers(trees) as workers:
+    limits = {"limit_s": MAX_S, "limit_gb": MAX_BYTES // 2**30}
+    description = DESCRIPTION.format(**given, **limits)
+    report = Report("hostile-files", "Damaged and hostile files", description, options)
+    commits = {_NOW: ""} | ({"before": options.commit} if options.commit else {})
+    jobs = {
+        f"{area}, {name}": given | {"area": area, "commit": commit}
+        for name, commit in commits.items()
+        for area in AREAS
+    }
+    with ExitStack() as stack:
+        workers: dict[str, Worker] = {}
 
         def measure(job: Any, _: int) -> Metrics:
-            return {name: _tried(worker, job) for name, worker in workers.items()}
+            commit = job["commit"]
+            if commit not in workers:
+                tree = stack.enter_context(_tree(commit)) if commit else ROOT
+                workers[commit] = stack.enter_context(_worker(tree))
+            return _tried(workers[commit], job)
 
-        rows = {area: runs[0] for area, runs in report.measured(jobs, measure).items()}
-        report.write(counted(rows), *(by_cause(rows, name) for name in workers))
+        found = report.measured(jobs, measure)
+    rows = {
+        area: {name: found[f"{area}, {name}"][0] for name in commits}
+        for area in AREAS
+        if all(f"{area}, {name}" in found for name in commits)
+    }
+    report.write(counted(rows), *(by_cause(rows, name) for name in reversed(commits)))
 
 
 @contextmanager
-def _trees(commit: str) -> Iterator[dict[str, Path]]:
-    """The trees to measure; the earlier one gets this one's benchmarks."""
-    with earlier_tree(commit) if commit else nullcontext(ROOT) as tree:
-        if commit:
-            shutil.rmtree(tree / "benchmarks")
-            shutil.copytree(ROOT / "benchmarks", tree / "benchmarks")
-        yield {"before": tree, _NOW: ROOT} if commit else {_NOW: ROOT}
+def _tree(commit: str) -> Iterator[Path]:
+    """A tree of an earlier commit with this one's benchmarks."""
+    with earlier_tree(commit) as tree:
+        shutil.rmtree(tree / "benchmarks")
+        shutil.copytree(ROOT / "benchmarks", tree / "benchmarks")
+        yield tree
 
 
 class Worker:
@@ -127,13 +135,12 @@ class Worker:
 
 
 @contextmanager
-def _workers(trees: dict[str, Path]) -> Iterator[dict[str, Worker]]:
-    workers = {name: Worker(tree) for name, tree in trees.items()}
+def _worker(tree: Path) -> Iterator[Worker]:
+    worker = Worker(tree)
     try:
-        yield workers
+        yield worker
     finally:
-        for worker in workers.values():
-            worker.close()
+        worker.close()
 
 
 def _tried(worker: Worker, job: Any) -> Metrics:
@@ -193,7 +200,7 @@ def counted(rows: dict[str, Metrics]) -> Table:
     """Attempts, passed and failed of each area and of all."""
     names = list(next(iter(rows.values()))) if rows else [_NOW]
     columns = ["area", "attempts"]
-    for name in names:
+    for name in reversed(names):
         columns += [f"passed {name}", f"failed {name}"]
     columns += ["longest now, s", "most memory now, MB"]
     cells, sums = [], Counter[str]()
