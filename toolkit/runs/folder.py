@@ -129,7 +129,8 @@ class RunFolder:
         try:
             for part in (self.renders, self.checkpoints):
                 part.mkdir(exist_ok=True)
-            self.loops.touch()
+            if not self.loops.exists():  # a refused resumption changes no file
+                self.loops.touch()
         except OSError as error:
             raise cannot_write(self.path, error) from error
 
