@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import mmap
 import os
 import random
 import signal
@@ -74,7 +75,10 @@ def _raise() -> None:
 
 
 def _use_memory() -> None:
-    assert bytearray(b"\1") * 2**27
+    # Not from the heap, which may have as much unused.
+    memory = mmap.mmap(-1, 2**27)
+    for page in range(0, len(memory), mmap.PAGESIZE):
+        memory[page] = 1
 
 
 def _use_addresses() -> None:
