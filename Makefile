@@ -5,7 +5,9 @@
 PYTHON ?= python3
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-PIP := .venv/bin/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
+# The only package without hashes: each index has a build of its own.
+TORCH := torch==2.13.0
+PIP := .venv/bin/python -m pip install --disable-pip-version-check --quiet
 NATIVE_SOURCES := $(wildcard toolkit/native/src/*/*)
 DEMO := runs/demo
 DEMO_ROOM := runs/demo-room
@@ -21,7 +23,7 @@ endef
 
 emulation = { command -v qemu-x86_64-static && command -v aarch64-linux-gnu-g++ && command -v clang++; } >/dev/null
 
-.PHONY: help demo test bench tables figures lint docs ready clean
+.PHONY: help demo test bench tables figures lint docs audit lock ready clean
 .DELETE_ON_ERROR:
 
 help:
@@ -32,6 +34,8 @@ help:
 	@echo "make figures measure README's figures, except those of the papers' tables (set SEMSPLAT_DATA)"
 	@echo "make lint   check style, types and import layers"
 	@echo "make docs   build the documentation website in site/"
+	@echo "make audit  look the locked packages up in a database of vulnerabilities"
+	@echo "make lock   write constraints.txt and requirements.txt from setup.cfg"
 	@echo "make clean  remove build products and caches; .venv and runs/ are kept"
 
 demo: ready $(DEMO_ROOM)/unseen/cam_params.json
@@ -84,9 +88,28 @@ lint: ready
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
-docs: ready .stamps/docs
+docs: ready
 	.venv/bin/mkdocs build --strict
 	@echo "make: open site/index.html in a browser"
+
+# Known vulnerabilities of the locked packages; where their database cannot be reached, it fails.
+audit: .stamps/tools
+	@echo "$(TORCH)" >.stamps/torch.txt
+	@.stamps/tools/bin/pip-audit --strict --disable-pip --no-deps --progress-spinner off \
+		-r constraints.txt -r .stamps/torch.txt 2>.stamps/audit.log || { \
+		tail -n 1 .stamps/audit.log; ! grep -q ^ERROR .stamps/audit.log || \
+		echo "make: nothing was audited: the database of vulnerabilities does not answer" >&2; \
+		exit 1; }
+
+# Versions that setup.cfg allows, with hashes; make lock UPGRADE=--upgrade takes the newest ones.
+UPGRADE ?=
+LOCK = .stamps/tools/bin/uv pip compile --quiet $(UPGRADE) --universal --python-version 3.11.5 \
+	--generate-hashes --no-annotate --no-emit-package torch --constraints .stamps/torch.txt \
+	--custom-compile-command "make lock"
+lock: .stamps/tools
+	echo "$(TORCH)" >.stamps/torch.txt
+	$(LOCK) --all-extras setup.cfg --output-file constraints.txt
+	$(LOCK) --extra build setup.cfg --constraints constraints.txt --output-file requirements.txt
 
 ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 
@@ -101,15 +124,14 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 
 .stamps/dependencies: setup.cfg pyproject.toml constraints.txt | .venv/bin/python .stamps
 	@echo "make: installing Python packages into .venv (several minutes)"
-	$(PIP) setuptools wheel pybind11
-	$(PIP) --no-deps --retries 1 $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) torch
-	SEMSPLAT_NATIVE=0 $(PIP) --no-build-isolation --editable '.[dev]'
+	$(PIP) $(if $(TORCH_INDEX),--no-deps --retries 1 --extra-index-url $(TORCH_INDEX)) $(TORCH)
+	$(PIP) --no-deps --require-hashes -r constraints.txt
+	SEMSPLAT_NATIVE=0 $(PIP) --no-build-isolation --no-deps --editable .
 	@touch $@
 
-.stamps/docs: .stamps/dependencies
-	$(PIP) $$(.venv/bin/python -c 'from configparser import ConfigParser as C; \
-		c = C(); c.read("setup.cfg"); print(c["options.extras_require"]["docs"].strip())')
-	@touch $@
+.stamps/tools: | .stamps
+	$(PYTHON) -m venv $@
+	$@/bin/python -m pip install --disable-pip-version-check --quiet uv pip-audit
 
 # Compiled here rather than by pip, which would recompile everything each time. Without a
 # compiler, a notice is printed and the next call of make tries again.

@@ -28,6 +28,7 @@ from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.carrier import without_carrier
 from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.registry import describe
+from toolkit.datasets.samples import spread_frames
 from toolkit.options import validated
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.image_side import find_side
@@ -121,12 +122,11 @@ def checked(recording: Recording, max_frames: int | None = None) -> Metrics:
     settings, flaws = validated(RunSettings, {}), recording.flaws
     recording = replace(recording, readout_s=recording.readout_s or 0.0, notes=())
     wall_s, cpu_s = time.perf_counter(), time.process_time()
-    has_depth = recording.files[0].depth is not None
-    if has_depth:
-        recording = without_carrier(with_usable_depth(recording, max_frames), max_frames)
+    recording = without_carrier(with_usable_depth(recording, max_frames), max_frames)
     dataset = RecordedDataset(recording, max_frames=max_frames)
-    side = find_side(dataset, settings.dataset, has_depth)
-    lines = mode_of(settings).findings(dataset, settings)
+    frames = [*spread_frames(dataset)]
+    side = find_side(dataset, frames, settings.dataset)
+    lines = mode_of(settings).findings(dataset, frames, settings)
     wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
     true = [f"({line})" for line in (*recording.notes, *side.notes)]
     said = "; ".join([*flaws, *lines, *side.findings, *true]) or "nothing"

@@ -7,6 +7,7 @@ print the message and exit with a non-zero status.
 from __future__ import annotations
 
 import re
+import signal
 
 from toolkit.io.printable import printable
 
@@ -51,6 +52,25 @@ class DependencyError(ToolkitError):
 
 class MemoryLimitError(ToolkitError):
     """A run has nearly used up the memory that it may use."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal ended a job.
+
+    Args:
+        number: of the signal.
+        state: what was saved and how to continue, for messages.
+    """
+
+    def __init__(self, number: int, state: str = "") -> None:
+        word = "interrupted" if number == signal.SIGINT else "terminated"
+        super().__init__(f"{word}; {state}" if state else word)
+        self.number = number
+
+    @property
+    def status(self) -> int:
+        """Exit status, as in shells."""
+        return 128 + self.number
 
 
 class CameraError(ToolkitError):

@@ -10,11 +10,12 @@ stages can be imported where pydantic is not installed.
 from __future__ import annotations
 
 import ast
+import copy
 import difflib
 import inspect
 import os
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from pydantic import TypeAdapter, ValidationError
 
 Options = TypeVar("Options")
+# Type of the errors of pydantic about unknown keys.
+_UNKNOWN = "unexpected_keyword_argument"
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,57 @@ def validated(
     except ValidationError as error:
         message = _first_error(kind, error, shown)
     raise SettingsError(f"{origin}: {message}" if origin else message)
+
+
+def accepted(
+    kind: type[Options], content: dict[str, Any], origin: str = ""
+) -> tuple[Options, tuple[str, ...]]:
+    """Options that another version may have stored; what this version lacks is ignored.
+
+    Args:
+        kind: a dataclass of options, all of which have defaults.
+        content: nested dictionaries.
+        origin: where the content comes from, for error messages.
+
+    Returns:
+        The options, and the keys that are ignored: unknown ones, and those of invalid values beside
+        unknown keys, as the other version may have accepted more.
+
+    Raises:
+        SettingsError: a value is invalid, and all keys are known.
+    """
+    from pydantic import ValidationError
+
+    adapter: TypeAdapter[tuple[Options]] = _adapter(cast(Any, kind))
+    kept, ignored = copy.deepcopy(content), list[str]()
+    while True:
+        try:
+            adapter.validate_python((kept,))
+        except ValidationError as error:
+            errors = error.errors()
+        else:
+            break
+        if not ignored and not any(found["type"] == _UNKNOWN for found in errors):
+            break
+        keys = [_remove(kept, found["loc"][1:]) for found in errors]
+        ignored += dict.fromkeys(filter(None, keys))
+        if not any(keys):
+            break
+    return validated(kind, kept, origin), tuple(ignored)
+
+
+def _remove(content: dict[str, Any], path: Sequence[int | str]) -> str:
+    """Remove what an error refers to; return its key, empty if it was removed before."""
+    inner: Any = content
+    for depth, name in enumerate(path):
+        if name not in inner:
+            return ""
+        if depth + 1 < len(path) and isinstance(inner[name], dict):
+            inner = inner[name]
+        else:
+            del inner[name]
+            return ".".join(map(str, path[: depth + 1]))
+    return ""
 
 
 def with_home(value: Any) -> Any:
@@ -229,7 +283,7 @@ def _first_error(kind: type, error: ValidationError, shown: Callable[[str], str]
     errors = error.errors()
     first = errors[0]
     key = ".".join(str(part) for part in first["loc"][1:])
-    if first["type"] == "unexpected_keyword_argument":
+    if first["type"] == _UNKNOWN:
         text = f"unknown {shown(key)}" + suggestion(kind, key, shown)
     else:
         reason = first["msg"][0].lower() + first["msg"][1:]

@@ -35,6 +35,19 @@ def test_a_removed_working_folder_is_reported(tmp_path: Path):
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize("threads", ["abc", "0", "-1", "2.5", ""])
+def test_a_number_of_threads_that_is_none_is_reported(tmp_path: Path, threads: str):
+    done = subprocess.run(
+        [*PROGRAM, "render", str(tmp_path), "--out", str(tmp_path / "out")],
+        env=SURROUNDINGS | {"OMP_NUM_THREADS": threads},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"semsplat: error: OMP_NUM_THREADS is {threads!r}")
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize("words", [("--help",), ("--version",), ("run", "--help-all")])
 def test_a_reader_that_stops_reading_is_no_error(words: tuple[str, ...]):
     process = subprocess.Popen(
@@ -44,6 +57,29 @@ def test_a_reader_that_stops_reading_is_no_error(words: tuple[str, ...]):
     process.stdout.close()
     assert process.stderr.read() == b""
     assert process.wait() == 1
+
+
+def test_a_client_that_leaves_concurrent_tasks_is_no_error():
+    job = (
+        "from toolkit.cli.errors import one_line_errors\n"
+        "def job():\n"
+        "    raise ExceptionGroup('tasks', [ExceptionGroup('task', [BrokenPipeError(32, 'x')])])\n"
+        "raise SystemExit(one_line_errors(job))"
+    )
+    done = subprocess.run([sys.executable, "-c", job], env=SURROUNDINGS, capture_output=True)
+    assert done.returncode == 1 and done.stderr == b""
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_no_error(tmp_path: Path, closed: str):
+    done = subprocess.run(
+        ["sh", "-c", f'"$0" "$@" {closed}', *PROGRAM, "--version"],
+        env=SURROUNDINGS,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and done.stderr == ""
+    assert bool(done.stdout) == (closed in ("<&-", "2>&-"))
 
 
 def test_little_memory_is_reported_in_one_line(tmp_path: Path):

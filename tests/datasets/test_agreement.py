@@ -1,29 +1,23 @@
 """What is stated of a recording is compared with its images, and true statements pass."""
 
-import itertools
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from moving_room import CAMERA, pose, write_recording
 
 from toolkit.datasets import checks
-from toolkit.datasets.agreement.findings import contradictions
+from toolkit.datasets.agreement.findings import Contradictions, contradictions
 from toolkit.datasets.agreement.given_poses import PoseAgreement, judge_given, sudden_steps
 from toolkit.datasets.agreement.intrinsics import estimate_intrinsics
 from toolkit.datasets.agreement.labels import label_finding
-from toolkit.datasets.agreement.pairs import (
-    _GAPS,
-    _later,
-    _SmallFrame,
-    aligned_pair,
-    aligned_pairs,
-)
+from toolkit.datasets.agreement.pairs import aligned_pair, aligned_pairs
 from toolkit.datasets.agreement.refine import with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
-from toolkit.datasets.shutter.levels import shutter_levels
+from toolkit.datasets.samples import SmallFrames, evenly_spaced
 from toolkit.errors import SettingsError
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
@@ -47,17 +41,19 @@ def box(tmp_path_factory):
 
 
 def found(recording, **changes):
-    return contradictions(RecordedDataset(replace(recording, **changes)))
+    return list(contradictions(RecordedDataset(replace(recording, **changes))).others)
+
+
+def small(recording):
+    return SmallFrames(RecordedDataset(recording))
 
 
 def aligned_frames(frames):
     """Pairs of frames that are small already."""
-    return itertools.chain.from_iterable(
-        _later(
-            n, _GAPS, [_SmallFrame(shutter_levels(frames[n + gap]), None) for gap in (0, *_GAPS)]
-        )
-        for n in np.linspace(0, len(frames) - 1 - max(_GAPS), 8).astype(int).tolist()
+    of_reach = SimpleNamespace(
+        anchors=lambda reach: evenly_spaced(len(frames) - reach, 8), get=frames.__getitem__
     )
+    return aligned_pairs(of_reach)
 
 
 def with_board(frame):
@@ -106,7 +102,7 @@ def test_depth_that_is_wrong_in_a_quarter_of_the_image_is_no_focal_length(box):
 
 
 def test_frames_that_overlap_are_one_observation(box):
-    pairs = aligned_pairs(RecordedDataset(box))
+    pairs = aligned_pairs(small(box))
     apart = [replace(p, first=40 * p.first, second=40 * p.first + 20) for p in pairs]
     overlapping = [replace(p, first=p.first, second=p.first + 40) for p in pairs]
     certain, doubtful = (estimate_intrinsics(found) for found in (apart, overlapping))
@@ -145,7 +141,7 @@ def test_the_unit_of_depth_is_compared_with_that_of_poses(box, factor):
 
 
 def test_a_camera_that_stands_still_tells_no_unit(box):
-    pairs = aligned_pairs(RecordedDataset(box))
+    pairs = aligned_pairs(small(box))
     rng = np.random.default_rng(0)
     still = []
     for pair in pairs:
@@ -174,7 +170,7 @@ def test_a_delay_of_poses_is_named(box, frames, tmp_path):
 
 
 def test_pairs_that_are_aligned_by_a_period_off_are_no_delay_and_no_unit(box):
-    pairs = aligned_pairs(RecordedDataset(box))
+    pairs = aligned_pairs(small(box))
     longest = np.argsort([np.linalg.norm(p.pose.T_second_first[:3, 3]) for p in pairs])
     for number in longest[-len(pairs) // 5 :]:
         wrong = pairs[number].pose.T_second_first.copy()
@@ -187,12 +183,12 @@ def test_pairs_that_are_aligned_by_a_period_off_are_no_delay_and_no_unit(box):
 @pytest.mark.parametrize("poses", ["slam", "given"])
 def test_a_run_reports_what_contradicts_its_images(box, monkeypatch, poses):
     settings = validated(RunSettings, {"poses": poses})
-    monkeypatch.setattr(modes, "contradictions", lambda _: ["a line"])
-    assert "a line" in mode_of(settings).findings(RecordedDataset(box), settings)
+    monkeypatch.setattr(modes, "contradictions", lambda _: Contradictions(others=("a line",)))
+    assert "a line" in mode_of(settings).findings(RecordedDataset(box), [], settings)
 
 
 def test_check_data_reports_it(box, monkeypatch):
-    monkeypatch.setattr(checks, "contradictions", lambda _: ["a line"])
+    monkeypatch.setattr(checks, "contradictions", lambda _: Contradictions(others=("a line",)))
     short = replace(box, files=box.files[:3], readout_s=0.0)
     assert "a line" in checks.check_recording(short).faults
 
@@ -218,7 +214,7 @@ def test_a_camera_that_is_pushed_does_not_jump(box):
         ),
         ground_truth=given,
     )
-    assert not step.is_jump(aligned_pair(RecordedDataset(pushed), 24))
+    assert not step.is_jump(aligned_pair(small(pushed), 24))
 
 
 def test_without_depth_or_with_few_frames_nothing_is_said(box):
@@ -231,7 +227,7 @@ def test_frames_that_cannot_be_read_are_left_out(box, tmp_path):
     damaged = tmp_path / "damaged.png"
     damaged.write_bytes(b"")
     files = (*box.files[:5], replace(box.files[5], rgb=damaged), *box.files[6:])
-    pairs = aligned_pairs(RecordedDataset(replace(box, files=files)))
+    pairs = aligned_pairs(small(replace(box, files=files)))
     assert pairs and not any(5 in (pair.first, pair.second) for pair in pairs)
 
 
@@ -293,7 +289,7 @@ def label_line(pairs, change):
 
 
 def test_ids_that_change_between_frames_are_named(box):
-    pairs = aligned_pairs(RecordedDataset(box))
+    pairs = aligned_pairs(small(box))
     assert label_finding(pairs) is None  # without labels
     assert label_line(pairs, lambda labels, _: labels) is None
     assert label_line(pairs, partly_wrong) is None

@@ -38,6 +38,7 @@ def test_a_constant_value_far_behind_all_others_is_found(value):
         [with_share(surfaces(i), 7000.0, 0.3) for i in range(4)],  # a wall
         [with_share(surfaces(i), 8000.0 + 300 * i, 0.3) for i in range(4)],  # seen on the way
         [with_share(surfaces(0), 9000.0, 0.3), surfaces(1), surfaces(2)],  # in one frame
+        [np.array([[2, 2, 4, 5]], np.uint16)] * 4,  # neighbouring values of few bits
         [np.full((24, 32), 3000.0)] * 4,
         [np.zeros((24, 32))] * 4,
         [],

@@ -178,5 +178,5 @@ def test_findings_of_a_run_name_a_shift(tmp_path):
     values = {name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
     lines = [f"{name}: {value}" for name, value in (values | {"depth_scale": 1000.0}).items()]
     (folder / "intrinsics.yaml").write_text("\n".join(lines))
-    (finding,) = quick_findings(open_dataset("folder", folder))
+    (finding,) = quick_findings([*open_dataset("folder", folder)], 1000.0)
     assert finding.startswith("colour is shifted relative to depth by (-10, +0) px")

@@ -104,3 +104,26 @@ def test_association_with_itself_changes_nothing() -> None:
     path = random_walk(3)
     again = path.associated_to(path.timestamps_s, 0.0)
     np.testing.assert_array_equal(again.T_world_camera, path.T_world_camera)
+
+
+@given(seeds, st.floats(0.0, 1.0))
+def test_poses_between_others_are_interpolated(seed: int, share: float) -> None:
+    walk = random_walk(seed)
+    own_s, own = walk.timestamps_s, walk.T_world_camera
+    times_s = own_s[:-1] + share * np.diff(own_s)
+    found = walk.interpolated(times_s)
+    for k, pose in enumerate(found):
+        turn = share * se3.log_so3(own[k, :3, :3].T @ own[k + 1, :3, :3])
+        np.testing.assert_allclose(pose[:3, :3], own[k, :3, :3] @ se3.exp_so3(turn), atol=1e-9)
+        straight_m = (1.0 - share) * own[k, :3, 3] + share * own[k + 1, :3, 3]
+        np.testing.assert_allclose(pose[:3, 3], straight_m, atol=1e-9)
+    np.testing.assert_allclose(walk.interpolated(own_s), own, atol=1e-9)
+
+
+def test_no_poses_are_known_outside_of_a_trajectory() -> None:
+    found = straight(5).interpolated(np.array([-0.1, 0.0, 4.00005, 4.1]))
+    assert np.isnan(found).all(axis=(1, 2)).tolist() == [True, False, False, True]
+    assert np.isnan(straight(1).interpolated(np.zeros(1))).all()
+    assert len(straight(1).delayed(0.5)) == 0
+    late = straight(5).delayed(0.5)
+    np.testing.assert_allclose(late.positions_m[:, 0], 0.25 + 0.5 * np.arange(4), atol=1e-12)

@@ -247,7 +247,7 @@ def multiplied(levels: int) -> str:
         ("#usda 1.0\n( subLayers = [@../other.usda@] )\n", "outside of its folder"),
         (multiplied(8), "makes more than 1,000,000 prims"),
         (LAYER.format('def "b" ( references = </a0> ) {\n}'), "refers to itself"),
-        (LAYER.format('def "b" ( payload = @missing.usda@ ) {\n}'), "is no USD file"),
+        (LAYER.format('def "b" ( payload = @missing.usda@ ) {\n}'), r"missing\.usda: No such file"),
     ],
 )
 def test_usd_layers_are_checked_before_they_are_composed(tmp_path, text, fault):
@@ -266,6 +266,8 @@ def test_usd_files_may_refer_to_others_beside_them(tmp_path):
     export_splats(inner, ellipsoids(0))
     path = tmp_path / "scene.usda"
     path.write_text(LAYER.format('def "b" ( payload = @./parts/map.usdc@ ) {\n}'))
+    assert len(read_splats(path)) == len(read_splats(inner))
+    path.write_text("#usda 1.0\n( subLayers = [@./parts/map.usdc@ (offset = 1)] )\n")
     assert len(read_splats(path)) == len(read_splats(inner))
 
 

@@ -18,7 +18,7 @@ import pytest
 from browser_pages import WatchedPage, chromium
 from scripted_camera import ScriptedCamera, room_frames
 
-from toolkit.cli.live import stopped_by_interrupt
+from toolkit.cli.live import stopped_by_signals
 from toolkit.cli.main import main
 from toolkit.datasets.registry import open_dataset
 from toolkit.errors import CameraError, DatasetError, RunFolderError
@@ -31,6 +31,7 @@ from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.runs import snapshots
 from toolkit.runs.finished import load_run
 from toolkit.runs.settings import RunSettings
+from toolkit.runs.stopping import StopSignals
 from toolkit.viewer.html import write_page
 from toolkit.viewer.live import LiveRun
 from toolkit.viewer.options import ShownContent
@@ -286,7 +287,7 @@ def test_the_second_ctrl_c_interrupts():
         assert stop.is_set()
         signal.raise_signal(signal.SIGINT)
 
-    with pytest.raises(KeyboardInterrupt), stopped_by_interrupt(stop):
+    with pytest.raises(KeyboardInterrupt), stopped_by_signals(stop, StopSignals()):
         press_twice()
     assert signal.getsignal(signal.SIGINT) is before
 

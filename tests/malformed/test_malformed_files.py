@@ -95,7 +95,6 @@ TARGETS = [
         {n: damage.TEXT_FILE[n] for n in ("missing", "garbage", "directory", "not UTF-8")}
         | {
             "a list": damage.text("[1]"),
-            "unknown key": damage.text("speed: 3\n"),
             "NaN": damage.text("checkpoint: {every_s: .nan}\n"),
             "wrong type": damage.text("seed: many\n"),
             "broken YAML": damage.text("seed: [1\n"),

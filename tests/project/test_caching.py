@@ -1,6 +1,8 @@
-"""The cache of what was used last."""
+"""Caches of what is used several times."""
 
-from toolkit.caching import LruCache
+import numpy as np
+
+from toolkit.caching import ImageStore, LruCache
 
 
 def test_what_was_not_used_for_longest_is_dropped():
@@ -19,3 +21,21 @@ def test_values_of_replaced_sources_are_computed_again():
     assert cache.get("sum", lambda: sum(source), (source,)) == 3
     assert cache.get("sum", lambda: 0, (source,)) == 3
     assert cache.get("sum", lambda: 4, ([1, 2],)) == 4  # an equal list, but another one
+
+
+def test_images_are_kept_while_there_is_room():
+    read = []
+    store = ImageStore(max_bytes=30)
+
+    def image(key, keep=True):
+        found = (np.zeros(10, np.uint8), np.zeros(2, np.uint8))
+        return store.get(key, lambda: read.append(key) or found, keep)
+
+    for key in "abcabc":
+        image(key)
+    assert read == ["a", "b", "c", "c"]
+    store.clear()
+    image("c", keep=False)
+    image("c")
+    image("c")
+    assert read[4:] == ["c", "c"]

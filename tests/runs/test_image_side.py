@@ -42,12 +42,6 @@ class Recorded:
         truth = None if self.poses is None else Trajectory(np.arange(len(self.poses)), self.poses)
         self.recording = SimpleNamespace(up_world=self.up_world, ground_truth=truth)
 
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> Frame:
-        return self.frames[index]
-
 
 @pytest.fixture(scope="module")
 def sideways():
@@ -59,13 +53,13 @@ def stated(side):
 
 
 def test_frames_with_depth_show_the_side(sideways):
-    found = find_side(sideways, AUTO.dataset)
+    found = find_side(sideways, sideways.frames, AUTO.dataset)
     assert found.side == "left" and found.findings == ()
     assert found.notes == ("the left side of the images is up",)
 
 
 def test_a_run_labels_frames_by_the_side_that_was_found(sideways):
-    settings = find_side(sideways, AUTO.dataset).chosen(AUTO)
+    settings = find_side(sideways, sideways.frames, AUTO.dataset).chosen(AUTO)
     assert up_side(settings.dataset) == "left"
     floor = walk(8, 90.0)[0].classes == FLOOR
     for chosen, most in ((settings, True), (AUTO, False)):
@@ -74,29 +68,29 @@ def test_a_run_labels_frames_by_the_side_that_was_found(sideways):
 
 
 def test_without_depth_the_top_is_assumed(sideways):
-    assert find_side(sideways, AUTO.dataset, has_depth=False).side == "top"
+    assert find_side(sideways, [], AUTO.dataset).side == "top"
     assert up_side(AUTO.dataset) == "top"
 
 
 def test_the_option_decides(sideways):
-    assert find_side(sideways, stated("right")).side == "right"
+    assert find_side(sideways, sideways.frames, stated("right")).side == "right"
 
 
 def test_gravity_decides_where_the_device_measures_it():
     poses = np.array([view.T_world_camera for view in walk(8, -90.0)])
     measured = Recorded([], up_world=(0.0, 0.0, 1.0), poses=poses)
-    assert find_side(measured, AUTO.dataset).side == "right"
-    assert find_side(measured, AUTO.dataset, has_depth=False).side == "right"
+    assert find_side(measured, measured.frames, AUTO.dataset).side == "right"
+    assert find_side(measured, [], AUTO.dataset).side == "right"
 
 
 def test_doubt_is_one_line_unless_labels_show_the_floor(sideways, monkeypatch):
     monkeypatch.setattr(image_side, "judge_side", lambda _: SideJudgement("top", "left"))
-    found = find_side(sideways, AUTO.dataset)
+    found = find_side(sideways, sideways.frames, AUTO.dataset)
     (line,) = found.findings
     assert found.side == "top"
     assert "the vertical is in doubt" in line and "--dataset.up left" in line
     labelled = replace(sideways, label_names={1: "floor"})
-    assert find_side(labelled, AUTO.dataset).findings == ()
+    assert find_side(labelled, labelled.frames, AUTO.dataset).findings == ()
 
 
 def test_floor_and_vertical_of_an_unlabelled_map_follow_the_side():

@@ -10,8 +10,8 @@ from box_room import looking, see, walk
 
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.orientation import oriented, oriented_camera
-from toolkit.datasets.registration_check import evenly_spaced_frames
 from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.samples import evenly_spaced
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
@@ -87,7 +87,7 @@ RECORDINGS = [
 def some_frames(kind: str, path: Path) -> list[Frame]:
     options = DatasetOptions(readout_ms=0.0, ignore_carrier=False)
     dataset = open_dataset(kind, path, options=options)
-    return [dataset[i] for i in evenly_spaced_frames(len(dataset), 16)]
+    return [dataset[i] for i in evenly_spaced(len(dataset), 16)]
 
 
 def turned_frame(frame: Frame, orientation: int) -> Frame:

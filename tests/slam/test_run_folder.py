@@ -15,8 +15,9 @@ from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.runs.folder import MapPart, RunFolder
+from toolkit.runs.settings import RunSettings, dump_settings
 
-CONFIG = "seed: 0\nmapping:\n  iterations: 12\n"
+CONFIG = dump_settings(RunSettings(seed=12))
 
 
 @pytest.fixture
@@ -118,18 +119,19 @@ def test_another_thread_count_is_an_error_that_names_the_remedy(folder):
         torch.set_num_threads(before)
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        CONFIG.replace("12", "13"),
-        CONFIG + "hold_out: 5\n",
-        CONFIG.split("mapping")[0],
-    ],
-)
+@pytest.mark.parametrize("other", [RunSettings(seed=13), RunSettings(seed=12, hold_out=5)])
 def test_other_settings_are_an_error(folder, other):
     folder.check_config(CONFIG)
     with pytest.raises(SettingsError, match="other settings"):
-        folder.check_config(other)
+        folder.check_config(dump_settings(other))
+
+
+@pytest.mark.parametrize("stored", [CONFIG + "speed: 5\n", CONFIG.replace("denoise: true\n", "")])
+def test_settings_of_another_version_are_an_error(folder, stored):
+    folder.config.write_text(stored)
+    key = "speed" if "speed" in stored else "denoise"
+    with pytest.raises(RunFolderError, match=f"another version .* differ in {key}; resume with"):
+        folder.check_config(CONFIG)
 
 
 def test_a_run_is_not_overwritten(folder):

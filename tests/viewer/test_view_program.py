@@ -125,11 +125,6 @@ def without_map(run: Path) -> None:
     (run / "map.ply").unlink()
 
 
-def of_another_version(run: Path) -> None:
-    with (run / "config.yaml").open("a") as file:
-        file.write("setting_of_the_future: 1\n")
-
-
 def truncated(run: Path) -> None:
     content = (run / "map.ply").read_bytes()
     (run / "map.ply").write_bytes(content[: len(content) // 2])
@@ -140,7 +135,6 @@ def truncated(run: Path) -> None:
     [
         (unfinished, "not finished"),
         (without_map, "ended without a map"),
-        (of_another_version, "setting_of_the_future"),
         (truncated, "truncated"),
     ],
 )

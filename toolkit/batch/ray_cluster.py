@@ -197,7 +197,9 @@ class RayCluster:
 def ray_cluster(options: RayOptions) -> Iterator[RayCluster]:
     """Start a cluster on this machine, or join an existing one, until the block ends.
 
-    A cluster on this machine listens on localhost only, without dashboard and usage statistics.
+    A cluster on this machine listens on localhost only, without dashboard and usage statistics. Ray
+    still asks the metadata service of clouds (169.254.169.254) whether it is in one; no option of
+    Ray prevents this.
 
     Raises:
         DependencyError: ray is not installed.

@@ -11,6 +11,7 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import describe
+from toolkit.datasets.samples import spread_frames
 from toolkit.runs.image_side import find_side
 
 
@@ -28,7 +29,7 @@ def main(options: CheckDataOptions) -> int:
     for line in report.summary:
         print(line)
     dataset = RecordedDataset(recording, options.image_size)
-    up = find_side(dataset, DatasetOptions(), has_depth=dataset.files(0).depth is not None)
+    up = find_side(dataset, spread_frames(dataset), DatasetOptions())
     for line in (*report.notes, *up.notes, *up.findings):
         print(f"note: {line}")
     for line in report.faults:

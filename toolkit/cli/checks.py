@@ -84,11 +84,12 @@ def _check_export(options: ExportOptions) -> None:
     from toolkit.io.labelled_points import LABELLED_SUFFIXES
     from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES
     from toolkit.io.splats import WRITTEN_SUFFIXES
+    from toolkit.runs.new_folder import NewFolder
 
     if options.mesh + options.points + (options.format is not None) > 1:
         raise SettingsError("give --mesh or --points or --format, not both")
     if options.kind in FOLDER_FORMATS:
-        _check_new_folder(options.to, "--to")
+        NewFolder(str(options.to), "export", options, "--to").check()
         return
     suffixes = {
         "splats": WRITTEN_SUFFIXES,
@@ -103,13 +104,6 @@ def _check_export(options: ExportOptions) -> None:
         "viewer": (".html",),
     }[options.kind]
     check_output("--to", options.to, suffixes, f"a file of {options.kind}")
-
-
-def _check_new_folder(path: Path, option: str) -> None:
-    from toolkit.runs.lock import is_unused
-
-    if not is_unused(path):
-        raise RunFolderError(f"{path} is not an empty folder; choose another {option}")
 
 
 def _check_query(options: QueryProgram) -> None:
@@ -182,13 +176,17 @@ def _check_compare(options: CompareOptions) -> None:
 
 
 def _check_edit(options: EditOptions) -> None:
+    from toolkit.runs.new_folder import NewFolder
+
     if not (options.remove or options.keep or options.move or options.recolour):
         raise SettingsError("nothing to edit; give --remove, --keep, --move or --recolour")
-    _check_new_folder(options.out, "--out")
+    NewFolder(str(options.out), "edit", options).check()
 
 
 def _check_register(options: RegisterOptions) -> None:
-    _check_new_folder(options.out, "--out")
+    from toolkit.runs.new_folder import NewFolder
+
+    NewFolder(str(options.out), "register", options).check()
 
 
 def _check_train_head(options: TrainHeadOptions) -> None:

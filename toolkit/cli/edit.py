@@ -16,7 +16,7 @@ from toolkit.io.splats import write_splat_ply
 from toolkit.io.visualisation import Panel, colour_image, strip
 from toolkit.runs.editing import EditedMap, EditedView, Edits, Paint, Shift, edit, view_edit
 from toolkit.runs.labelled import TAXONOMY, LabelledRun, load_labelled_run
-from toolkit.runs.lock import locked
+from toolkit.runs.new_folder import NewFolder
 
 _HOLE_COLOUR = (255, 0, 200)
 
@@ -34,7 +34,7 @@ def main(options: EditOptions) -> int:
     labelled = load_labelled_run(options.run)
     edited = edit(labelled, _edits(options))
     _create(options.out)
-    with locked(options.out):
+    with NewFolder(str(options.out), "edit", options).written():
         renders = options.out / "renders"
         _create(renders)
         comments = labelled.run.map_comments

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from toolkit.errors import DependencyError, SettingsError, ToolkitError
+from toolkit.errors import DependencyError, SettingsError, Stopped, ToolkitError
 from toolkit.io.printable import PrintableStream, printable
 
 logger = logging.getLogger(__name__)
@@ -32,6 +32,8 @@ _REMEDIES = {
     errno.EMFILE: "raise the limit with: ulimit -n 4096",
 }
 
+_THREADS = "OMP_NUM_THREADS"
+
 # What the loader of libraries reports if memory is limited.
 _NO_ADDRESSES = ("failed to map segment", "annot allocate memory")
 
@@ -42,6 +44,7 @@ def one_line_errors(job: Callable[[], int]) -> int:
     Other exceptions are programming errors and propagate with their traceback. Characters that the
     encoding of stdout or stderr lacks are printed as escapes.
     """
+    _open_standard_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -49,19 +52,22 @@ def one_line_errors(job: Callable[[], int]) -> int:
     shown: Any = PrintableStream(sys.stdout)
     try:
         with contextlib.redirect_stdout(shown):
-            _check_folder()
+            _check_environment()
             status = job()
         sys.stdout.flush()  # errors of flushing are caught here
         return status
-    except BrokenPipeError:
-        # The reader of stdout has exited, as in `semsplat doctor | head`. Redirect buffered output,
-        # or Python reports the error again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+    except Stopped as stopped:
+        print(f"semsplat: {printable(str(stopped))}", file=sys.stderr)
+        return stopped.status
     except KeyboardInterrupt:
         print("semsplat: interrupted", file=sys.stderr)
         return INTERRUPTED
     except Exception as error:
+        if _is_broken_pipe(error):
+            # The reader of stdout has exited, as in `semsplat doctor | head`. Redirect buffered
+            # output, or Python reports the error again at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
         message = explain(error)
         if message is None:
             raise
@@ -70,12 +76,36 @@ def one_line_errors(job: Callable[[], int]) -> int:
         return USER_ERROR
 
 
-def _check_folder() -> None:
-    """Check that there is a working folder; without, libraries end the process.
+def _is_broken_pipe(error: BaseException) -> bool:
+    """Whether nothing but that went wrong; concurrent tasks raise groups."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(_is_broken_pipe, error.exceptions))
+    return isinstance(error, BrokenPipeError)
+
+
+def _open_standard_streams() -> None:
+    """Replace streams that are closed, as those of daemons: a file would take their place."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+
+
+def _check_environment() -> None:
+    """Check what libraries take from the environment, and end the process or raise over.
 
     Raises:
-        SettingsError: it was removed.
+        SettingsError: the working folder was removed, or the number of threads is none.
     """
+    threads = os.environ.get(_THREADS, "1")
+    if not threads.strip().isdecimal() or int(threads) < 1:
+        raise SettingsError(
+            f"{_THREADS} is {threads!r}; set it to a number of threads, or remove it: "
+            f"unset {_THREADS}"
+        )
     try:
         Path.cwd()
     except OSError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from toolkit.cli.map_programs import ExportOptions
 from toolkit.errors import SettingsError
 from toolkit.exports.floors import export_occupancy_grid
 from toolkit.exports.mapped_scene import map_scene
+from toolkit.exports.options import FOLDER_FORMATS
 from toolkit.exports.plans import export_floor_plan
 from toolkit.exports.scene_graph import export_scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
@@ -24,6 +26,7 @@ from toolkit.io.splats import export_splats, is_splat_file, read_splats
 from toolkit.io.trajectories import write_tum
 from toolkit.runs.labelled import taxonomy_of_file
 from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
+from toolkit.runs.new_folder import NewFolder
 from toolkit.viewer.html import link_from_report, write_page
 from toolkit.viewer.reading import run_scene
 from toolkit.viewer.shown_objects import shown_objects
@@ -47,9 +50,17 @@ def main(options: ExportOptions) -> int:
     selection = select(options.run, options.keep, options.drop)
     for note in selection.run.length_names.notes:
         _log.warning("%s: %s", options.to, note)
-    content = _WRITERS[options.kind](options, selection)
+    with _new_folder(options):
+        content = _WRITERS[options.kind](options, selection)
     print(f"wrote {content} to {options.to}")
     return 0
+
+
+def _new_folder(options: ExportOptions) -> AbstractContextManager[None]:
+    """What marks the folder while it is written; nothing for formats of one file."""
+    if options.kind not in FOLDER_FORMATS:
+        return nullcontext()
+    return NewFolder(str(options.to), "export", options, "--to").written()
 
 
 def _converted(options: ExportOptions) -> str:

@@ -10,8 +10,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from types import FrameType
 
-from toolkit.cli.run import RunArguments, parse_run, progress_observers, with_progress
+from toolkit.cli.run import (
+    RunArguments,
+    parse_run,
+    progress_observers,
+    resumption,
+    with_progress,
+)
+from toolkit.errors import Stopped
 from toolkit.live.options import LiveOptions
+from toolkit.runs.stopping import StopSignals
 
 _log = logging.getLogger(__name__)
 
@@ -19,7 +27,8 @@ _log = logging.getLogger(__name__)
 @dataclass(frozen=True, kw_only=True)
 class LiveProgram(LiveOptions, RunArguments):
     """Track and map the frames of a depth camera while they arrive, or of a dataset as if it were
-    one, and write a run folder. Ctrl-C ends the recording and finishes the map."""
+    one, and write a run folder. Ctrl-C ends the recording and finishes the map; SIGTERM saves a
+    checkpoint, which semsplat run resumes."""
 
     @property
     def live(self) -> LiveOptions:
@@ -41,14 +50,23 @@ def main(argv: Sequence[str]) -> int:
     observers = progress_observers(program)
     camera = build_camera(program.live, program.settings)
     hooks = LiveHooks(progress=with_progress, observers=observers)
-    with stopped_by_interrupt(hooks.stop):
-        run_live(program.settings, program.live, camera, program.out, hooks)
+    try:
+        with stopped_by_signals(hooks.stop, hooks.signals):
+            run_live(program.settings, program.live, camera, program.out, hooks)
+    except Stopped as stopped:
+        words = ["--config", str(program.out / "config.yaml"), "--out", str(program.out)]
+        raise Stopped(stopped.number, resumption(program.out, words)) from None
     return 0
 
 
 @contextmanager
-def stopped_by_interrupt(stop: threading.Event) -> Iterator[None]:
-    """Let the first Ctrl-C set an event; the second one interrupts the program."""
+def stopped_by_signals(stop: threading.Event, signals: StopSignals) -> Iterator[None]:
+    """Let the first Ctrl-C or SIGTERM set an event; a second Ctrl-C interrupts the program.
+
+    Args:
+        stop: the event.
+        signals: is told of SIGTERM, after which there is no time to finish the map.
+    """
 
     def interrupted(_number: int, _frame: FrameType | None) -> None:
         # Background jobs of shells start with the signal ignored, so `before` may not interrupt.
@@ -56,8 +74,14 @@ def stopped_by_interrupt(stop: threading.Event) -> Iterator[None]:
         _log.info("Finishing the map; press Ctrl-C again to stop at once.")
         stop.set()
 
+    def terminated(number: int, _frame: FrameType | None) -> None:
+        signals.number = number
+        stop.set()
+
     before = signal.signal(signal.SIGINT, interrupted)
+    ended = signal.signal(signal.SIGTERM, terminated)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGTERM, ended)

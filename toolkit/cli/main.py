@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         0 on success, 2 for an error that the user can fix (reported in one line on stderr),
-        130 when interrupted. Jobs may return other values.
+        130 when interrupted, 143 when terminated. Jobs may return other values.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     verbose = "--verbose" in arguments

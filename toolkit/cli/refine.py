@@ -13,6 +13,7 @@ from toolkit.cli.batch_programs import RefineOptions
 from toolkit.io.atomic import cannot_write
 from toolkit.io.storage import is_url
 from toolkit.runs.lock import locked
+from toolkit.runs.new_folder import repeatable
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
@@ -50,7 +51,7 @@ def _held(out: str) -> Iterator[None]:
     except OSError as error:
         raise cannot_write(folder, error) from error
     try:
-        with locked(folder):
+        with repeatable(), locked(folder):
             yield
     finally:
         if folder.is_dir() and not any(folder.iterdir()):

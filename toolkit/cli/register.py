@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from toolkit.cli.programs import RegisterOptions
 from toolkit.errors import ToolkitError
 from toolkit.geometry import se3
-from toolkit.io.atomic import cannot_write, write_bytes, write_text
+from toolkit.io.atomic import write_bytes, write_text
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
 from toolkit.loops.two_maps import (
@@ -22,10 +22,11 @@ from toolkit.loops.two_maps import (
     SelectedRegistration,
     select_registration,
 )
-from toolkit.runs.finished import load_run
+from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.instance_files import write_instances
-from toolkit.runs.merged_map import label_conflict, merge
+from toolkit.runs.merged_map import MergedMap, label_conflict, merge
+from toolkit.runs.new_folder import NewFolder
 from toolkit.runs.registering import register_runs
 
 _log = logging.getLogger(__name__)
@@ -55,20 +56,31 @@ def main(options: RegisterOptions) -> int:
     }
     for line in _lines(report, selection):
         print(line)
-    _create_folder(options.out)
-    columns = merged.columns()
-    write_splat_ply(options.out / "map.ply", merged.gaussians, columns, a.map_comments)
-    if merged.instances is not None:
-        write_instances(merged.instances, RunFolder(options.out), merged.taxonomy)
-    if merged.taxonomy is not None:
-        merged.taxonomy.save(options.out / "taxonomy.yaml")
-    # Copied as bytes: reading and writing may change the last digit of a pose.
-    write_bytes(options.out / "trajectory_a.txt", a.folder.trajectory.read_bytes())
-    write_tum(options.out / "trajectory_b.txt", b.folder.read_trajectory().transformed(T_a_b))
-    text = json.dumps(report, indent=1, allow_nan=False) + "\n"
-    write_text(options.out / "register.json", text)
+    with NewFolder(str(options.out), "register", options).written():
+        _write(options.out, merged, (a, b), T_a_b, report)
     print(f"wrote {len(merged.gaussians)} Gaussians to {options.out / 'map.ply'}")
     return 0
+
+
+def _write(
+    out: Path,
+    merged: MergedMap,
+    runs: tuple[FinishedRun, FinishedRun],
+    T_a_b: NDArray[np.float64],
+    report: dict[str, Any],
+) -> None:
+    """Write the merged map, both trajectories in its frame, and the report."""
+    columns = merged.columns()
+    write_splat_ply(out / "map.ply", merged.gaussians, columns, runs[0].map_comments)
+    if merged.instances is not None:
+        write_instances(merged.instances, RunFolder(out), merged.taxonomy)
+    if merged.taxonomy is not None:
+        merged.taxonomy.save(out / "taxonomy.yaml")
+    # Copied as bytes: reading and writing may change the last digit of a pose.
+    write_bytes(out / "trajectory_a.txt", runs[0].folder.trajectory.read_bytes())
+    write_tum(out / "trajectory_b.txt", runs[1].folder.read_trajectory().transformed(T_a_b))
+    text = json.dumps(report, indent=1, allow_nan=False) + "\n"
+    write_text(out / "register.json", text)
 
 
 def _failure(options: RegisterOptions, registrations: list[MapRegistration]) -> str:
@@ -134,10 +146,3 @@ def _lines(report: dict[str, Any], selection: SelectedRegistration) -> list[str]
     if report["no_labels_because"]:
         lines.append(f"the merged map has no labels: {report['no_labels_because']}")
     return lines
-
-
-def _create_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cannot_write(folder, error) from error

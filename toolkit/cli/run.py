@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,7 +12,9 @@ import tyro
 from tqdm import tqdm
 
 from toolkit.cli.arguments import parse_arguments
+from toolkit.errors import SettingsError, Stopped
 from toolkit.runs.settings import PresetName, RunSettings, load_settings
+from toolkit.runs.stopping import StopSignals
 
 if TYPE_CHECKING:
     from toolkit.runs.observers import ProgressObserver
@@ -60,9 +63,30 @@ def main(argv: Sequence[str]) -> int:
     # Imports torch, which takes seconds; wrong arguments are reported before.
     from toolkit.runs.execution import run
 
-    observers = progress_observers(program)
-    run(program.settings, program.out, program.resume, with_progress, observers)
+    observers, stop = progress_observers(program), StopSignals()
+    try:
+        with stop.handled():
+            run(program.settings, program.out, program.resume, with_progress, observers, stop)
+    except Stopped as stopped:
+        raise Stopped(stopped.number, resumption(program.out, argv)) from None
     return 0
+
+
+def resumption(out: Path, argv: Sequence[str]) -> str:
+    """How a run that was ended by a signal is continued.
+
+    Args:
+        out: the run folder.
+        argv: arguments of `semsplat run`.
+    """
+    from toolkit.runs.folder import RunFolder
+
+    folder = RunFolder(out)
+    if not folder.config.is_file():
+        return "nothing was written"
+    words = [*argv, *(["--resume"] if "--resume" not in argv else [])]
+    state = "a checkpoint is saved" if folder.has_checkpoint else "there is no checkpoint yet"
+    return f"{state}; continue with: {shlex.join(['semsplat', 'run', *words])}"
 
 
 def parse_run(kind: type[Program], argv: list[str], job: str) -> Program:
@@ -72,8 +96,22 @@ def parse_run(kind: type[Program], argv: list[str], job: str) -> Program:
         SettingsError: an option, the preset or the file of settings is invalid.
     """
     config, preset = _value(argv, "--config"), _value(argv, "--preset")
-    settings = load_settings(Path(config) if config else None, preset or "default")
+    try:
+        settings = load_settings(Path(config) if config else None, preset or "default")
+    except SettingsError:
+        if config and "--resume" in argv:
+            _check_version(Path(config))
+        raise
     return parse_arguments(kind, argv, job, default=kind(out=tyro.MISSING, **vars(settings)))
+
+
+def _check_version(config: Path) -> None:
+    """Check that the settings of a run that is resumed are not those of another version."""
+    from toolkit.runs.folder import RunFolder
+
+    folder = RunFolder(config.parent)
+    if folder.config == config and folder.loops.is_file():
+        folder.check_version()
 
 
 def progress_observers(program: RunArguments) -> list[ProgressObserver]:

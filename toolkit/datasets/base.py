@@ -7,13 +7,14 @@ undistortion and resizing are implemented here for all formats.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.caching import ImageStore
 from toolkit.datasets.orientation import oriented
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.resize import ImageGrid, enlarge_depth, enlarge_mask, resize_colour
@@ -136,6 +137,7 @@ class Recording:
             measures gravity; None where it is not known.
         carrier: [h, w] bool, parts of the image that show what carries the camera and are ignored;
             None for none.
+        kept: images that several checks read, shared by changed copies of the recording.
     """
 
     name: str
@@ -162,8 +164,11 @@ class Recording:
     readout_sigma_s: float = 0.0
     up_world: tuple[float, float, float] | None = None
     carrier: NDArray[np.bool_] | None = None
+    kept: ImageStore = field(default_factory=lambda: ImageStore(_KEPT), compare=False, repr=False)
 
 
+# Bytes of 16 frames with 640x480 pixels.
+_KEPT = 80_000_000
 # Poses farther away than this lose millimetres in single precision; they become relative.
 _FAR_M = 1000.0
 
@@ -266,18 +271,33 @@ class RecordedDataset:
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)} in {self.name}")
         files = self._files[index]
-        rgb, depth_m, labels = self._load(files)
-        if self._undistortion:
-            rgb = self._undistortion.colour(rgb)
-            depth_m = self._undistortion.nearest(depth_m)
-            labels = None if labels is None else self._undistortion.nearest(labels)
+        return self._frame(index, self._load(files), self._labels(files))
+
+    def sample(self, index: int, keep: bool) -> Frame:
+        """Load frame `index` for a check, from images that an earlier check has kept.
+
+        Args:
+            keep: whether the images are kept for others; the frame has no labels then.
+
+        Raises:
+            DatasetError: one of its files is missing, corrupt or of the wrong size.
+        """
+        files, recording = self._files[index], self.recording
+        depth = recording.depth_scale, recording.missing_from_m, recording.gap_px
+        key = files, depth, recording.camera, recording.distortion
+        native = recording.kept.get(key, lambda: self._load(files), keep)
+        return self._frame(index, native, None if keep else self._labels(files))
+
+    def _frame(self, index: int, native: tuple[NDArray, ...], labels: NDArray | None) -> Frame:
+        """A frame of colour and depth, and labels, at the native size."""
+        rgb, depth_m = native
         if self._grid:
             rgb = self._grid.colour(rgb)
             depth_m = self._grid.depth(depth_m)
             labels = None if labels is None else self._grid.nearest(labels)
         frame = Frame(
             index,
-            files.timestamp_s,
+            self._files[index].timestamp_s,
             rgb,
             depth_m,
             self.camera,
@@ -291,19 +311,24 @@ class RecordedDataset:
         """Iterate over all frames in order, prefetched by a background thread."""
         return prefetched(self, range(len(self)))
 
-    def _load(self, files: FrameFiles) -> tuple[NDArray, NDArray, NDArray | None]:
-        """Load colour, depth and labels at the native size."""
+    def _load(self, files: FrameFiles) -> tuple[NDArray, NDArray]:
+        """Load colour and depth at the native size, without distortion."""
         recording = self.recording
         depth_m = self._depth_m(files)
         rgb = self._colour(files)
         if recording.colour_may_be_larger and rgb.shape[:2] != depth_m.shape:
             rgb = resize_colour(rgb, recording.camera.size)
         check_size(rgb, recording.camera.size, files.rgb)
-        labels = None
-        if files.labels is not None:
-            labels = images.read_labels(files.labels, self._max_pixels)
-            check_size(labels, recording.camera.size, files.labels)
-        return rgb, depth_m, labels
+        if self._undistortion:
+            return self._undistortion.colour(rgb), self._undistortion.nearest(depth_m)
+        return rgb, depth_m
+
+    def _labels(self, files: FrameFiles) -> NDArray[np.int32] | None:
+        if files.labels is None:
+            return None
+        labels = images.read_labels(files.labels, self._max_pixels)
+        check_size(labels, self.recording.camera.size, files.labels)
+        return self._undistortion.nearest(labels) if self._undistortion else labels
 
     def _depth_m(self, files: FrameFiles) -> NDArray[np.float32]:
         recording = self.recording
@@ -314,8 +339,7 @@ class RecordedDataset:
         else:
             depth_m = images.read_depth_m(files.depth, recording.depth_scale, self._max_pixels)
         # Not finite, or negative: containers have floating-point depth.
-        measured = (depth_m > 0.0) & (depth_m < recording.missing_from_m)
-        depth_m = np.where(measured, depth_m, np.float32(0.0))
+        depth_m = np.where((depth_m > 0.0) & (depth_m < recording.missing_from_m), depth_m, 0.0)
         if files.confidence is not None:
             confidence = images.read_labels(files.confidence, self._max_pixels)
             height, width = depth_m.shape

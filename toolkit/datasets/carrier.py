@@ -20,15 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import RecordedDataset, Recording
-from toolkit.datasets.findings import readable_frames
-from toolkit.datasets.registration_check import evenly_spaced_frames
+from toolkit.datasets.samples import spread_frames
 from toolkit.frame import Frame
 
 Mask = NDArray[np.bool_]
 
 # Frames are compared in cells, about so many in a row.
 _CELLS = 80
-_FRAMES = 16
 # Maximum difference of the depth of a cell, relative, and of each of its colours.
 _SAME_DEPTH, _SAME_COLOUR = 0.04, 0.1
 # Minimum share of the cells that differ in a pair that may count, and of those that are not
@@ -60,8 +58,7 @@ def without_carrier(recording: Recording, max_frames: int | None = None) -> Reco
     frames = RecordedDataset(recording, max_frames=max_frames)
     if any(files.depth is None for files in recording.files[:max_frames]):
         return recording
-    chosen = evenly_spaced_frames(len(frames), _FRAMES)
-    mask = find_carrier([CellImages.of(frame) for frame in readable_frames(frames, chosen)])
+    mask = find_carrier([CellImages.of(frame) for frame in spread_frames(frames)])
     if not mask.any():
         return recording
     return replace(recording, carrier=mask, notes=(*recording.notes, note_about(mask)))

@@ -14,17 +14,16 @@ import numpy as np
 from toolkit.datasets.agreement.findings import contradictions
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.carrier import without_carrier
-from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
+from toolkit.datasets.depth_offset import OFFSET_FRAMES, estimate_depth_offset
 from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.findings import (
     depth_faults,
     depth_scale_finding,
     is_impossible_depth,
     length,
-    readable_frames,
 )
 from toolkit.datasets.pairing import listed
-from toolkit.datasets.pose_convention import judge_convention
+from toolkit.datasets.samples import evenly_spaced, readable, spread_frames
 from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.datasets.times import unit_fault
 from toolkit.errors import ToolkitError
@@ -98,13 +97,15 @@ def check_recording(
     findings = _Findings()
     for index in watch(range(len(dataset))):
         _check_frame(dataset, index, findings)
+    agreement = contradictions(dataset)
     faults = [
         *dataset.recording.flaws,
         *([recording.depth_fault] if recording.depth_fault else []),
         *_time_faults(dataset),
         *_frame_faults(findings),
         *_label_faults(findings, dataset.label_names),
-        *_agreement_faults(dataset),
+        *depth_faults([*spread_frames(dataset)]),
+        *([agreement.convention] if agreement.convention else agreement.others),
     ]
     scale = depth_scale_finding(findings.medians_m, dataset.recording.depth_scale)
     if scale and is_impossible_depth(findings.medians_m):
@@ -222,14 +223,6 @@ def _label_faults(findings: _Findings, names: dict[int, str] | None) -> list[str
     ]
 
 
-def _agreement_faults(dataset: RecordedDataset) -> list[str]:
-    """Lines about unsuitable depth, and about intrinsics and poses that contradict the images."""
-    convention = judge_convention(dataset)
-    verdict = convention.verdict() if convention else None
-    wrong = [verdict] if verdict else contradictions(dataset)
-    return [*depth_faults(dataset), *wrong]
-
-
 def _repeat_notes(findings: _Findings) -> list[str]:
     colour, depth = findings.repeated_colour, findings.repeated_depth
     notes = []
@@ -247,7 +240,9 @@ def _repeat_notes(findings: _Findings) -> list[str]:
 
 
 def _offset_notes(dataset: RecordedDataset) -> list[str]:
-    found = estimate_depth_offset(readable_frames(dataset, frames_for_offset(len(dataset))))
+    found = estimate_depth_offset(
+        readable(dataset.__getitem__, evenly_spaced(len(dataset), OFFSET_FRAMES))
+    )
     size_px = float(np.hypot(found.x_px, found.y_px))
     if found.fault is not None or size_px < max(_NOTED_OFFSET_PX, _CERTAIN * found.sigma_px):
         return []

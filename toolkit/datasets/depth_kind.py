@@ -53,21 +53,25 @@ def depth_kind_fault(frames: Iterable[Frame]) -> str | None:
 def _residuals(frame: Frame) -> Array:
     """Relative residuals [K, 3] of planes in the cells of a frame, for each kind of depth."""
     step = max(1, frame.camera.width // _WIDTH)
-    depth = frame.depth_m[step // 2 :: step, step // 2 :: step].astype(np.float64)
-    rays = frame.camera.rays(step)
-    rows = np.array_split(np.arange(depth.shape[0]), _ROWS)
-    columns = np.array_split(np.arange(depth.shape[1]), _COLUMNS)
-    cells = [np.ix_(r, c) for r in rows for c in columns]
-    found = [_cell_residuals(depth[cell].ravel(), rays[cell].reshape(-1, 3)) for cell in cells]
-    return np.array([residual for residual in found if residual is not None]).reshape(-1, 3)
-
-
-def _cell_residuals(depth: Array, rays: Array) -> Array | None:
-    """Relative residuals [3] of the best plane through a cell; None if too little is measured."""
+    depth = _in_cells(frame.depth_m[step // 2 :: step, step // 2 :: step, None])
     measured = depth > 0
-    if measured.sum() < max(_MIN_SAMPLES, _MIN_MEASURED * measured.size):
-        return None
-    depth, rays = depth[measured], rays[measured]
-    inverse = np.stack([1.0 / depth, np.linalg.norm(rays, axis=1) / depth, depth], axis=1)
-    plane = np.linalg.lstsq(rays, inverse, rcond=None)[0]
-    return np.sqrt(((inverse - rays @ plane) ** 2).mean(axis=0)) / inverse.mean(axis=0)
+    counts = measured.sum(axis=(1, 2))
+    used = counts >= max(_MIN_SAMPLES, _MIN_MEASURED * depth.shape[1])
+    depth, measured, counts = depth[used], measured[used], counts[used, None]
+    rays = measured * _in_cells(frame.camera.rays(step))[used]
+    z = np.where(measured, depth, 1.0)
+    inverse = np.concatenate(
+        [measured / z, np.linalg.norm(rays, axis=2, keepdims=True) / z, depth], axis=2
+    )
+    transposed = np.swapaxes(rays, 1, 2)
+    planes = np.linalg.solve(transposed @ rays, transposed @ inverse)
+    squares = ((inverse - rays @ planes) ** 2).sum(axis=1) / counts
+    return np.sqrt(squares) / (inverse.sum(axis=1) / counts)
+
+
+def _in_cells(image: NDArray) -> Array:
+    """Pixels [K, N, C] of an image [H, W, C] by the cells of the grid, without a rest."""
+    height, width = image.shape[0] // _ROWS, image.shape[1] // _COLUMNS
+    whole = image[: _ROWS * height, : _COLUMNS * width].astype(np.float64)
+    cells = whole.reshape(_ROWS, height, _COLUMNS, width, -1).swapaxes(1, 2)
+    return cells.reshape(_ROWS * _COLUMNS, height * width, -1)

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.registration_check import RELATIVE_STEP, clipped, evenly_spaced_frames
+from toolkit.datasets.registration_check import RELATIVE_STEP, clipped
 from toolkit.frame import Frame
 
 _SMOOTHING_PX = 1.0
@@ -32,8 +32,8 @@ _MIN_EDGE_PIXELS = 300
 _MAX_SIGMA_PX = 0.4
 # Where opposite sides differ more, sensors enlarge objects less than that: holes hide their edges.
 _MAX_ENLARGED_PX = 1.5
-# Frames, evenly spaced, that the estimate uses.
-_FRAMES = 40
+# Number of evenly spaced frames of a recording for an estimate.
+OFFSET_FRAMES = 40
 
 Array = NDArray[np.float64]
 
@@ -69,11 +69,6 @@ class DepthOffset:
 
     def __str__(self) -> str:
         return f"({self.x_px:+.2f}, {self.y_px:+.2f}) px"
-
-
-def frames_for_offset(count: int) -> list[int]:
-    """Indices of the evenly spaced frames, of `count`, that are used for an estimate."""
-    return evenly_spaced_frames(count, _FRAMES)
 
 
 def estimate_depth_offset(frames: Iterable[Frame]) -> DepthOffset:

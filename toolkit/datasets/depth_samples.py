@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.far_values import without_far_value
+from toolkit.datasets.samples import evenly_spaced
 from toolkit.datasets.sparse_depth import sparsity
 from toolkit.errors import DatasetError
 from toolkit.io import images
@@ -31,9 +32,8 @@ def depth_samples(recording: Recording, max_frames: int | None = None) -> list[N
     files = [frame for frame in recording.files[:max_frames] if frame.depth is not None]
     if not files:
         return []
-    chosen = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, _FRAMES).astype(int))]
     try:
-        return [_values(recording, frame) for frame in chosen]
+        return [_values(recording, files[n]) for n in evenly_spaced(len(files), _FRAMES)]
     except DatasetError:
         return []
 

@@ -37,19 +37,18 @@ class FarValue:
 
 def far_value(depths: Sequence[NDArray]) -> FarValue | None:
     """The constant far value of some depth images [H, W] (0 where missing); None without any."""
-    measured = [depth[depth > 0].astype(np.float64) for depth in depths]
-    every = np.concatenate([*measured, np.zeros(0)])
-    if not every.size:
+    value = max((float(depth.max()) for depth in depths), default=0.0)
+    if value <= 0.0:
         return None
-    value = every.max()
-    equal = every >= value * (1.0 - _SAME)
-    frames = sum(bool((depth >= value * (1.0 - _SAME)).any()) for depth in measured)
-    farthest = every[~equal].max(initial=0.0)
-    share = float(equal.mean())
+    equal = [depth >= np.float32(value * (1.0 - _SAME)) for depth in depths]
+    others = zip(depths, equal, strict=True)
+    farthest = max(float(depth[~same].max(initial=0)) for depth, same in others)
+    counts = np.array([np.count_nonzero(same) for same in equal])
+    share = float(counts.sum() / sum(np.count_nonzero(depth > 0) for depth in depths))
     is_apart = 0.0 < _MIN_RATIO * farthest <= value
-    if not is_apart or frames < _MIN_FRAMES or share < _MIN_SHARE:
+    if not is_apart or np.count_nonzero(counts) < _MIN_FRAMES or share < _MIN_SHARE:
         return None
-    return FarValue(float(value), share)
+    return FarValue(value, share)
 
 
 def without_far_value(recording: Recording, depths: Sequence[NDArray]) -> Recording:

@@ -6,11 +6,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.base import Recording
 from toolkit.datasets.depth_kind import depth_kind_fault
 from toolkit.datasets.pairing import listed
-from toolkit.datasets.registration_check import evenly_spaced_frames, measure_registration
-from toolkit.errors import ToolkitError
+from toolkit.datasets.registration_check import measure_registration
 from toolkit.frame import Frame
 from toolkit.geometry.camera import Camera
 
@@ -23,17 +22,17 @@ _CENTRAL, _USUAL_FOV_DEG, _MAX_ASPECT = (0.2, 0.8), (3.0, 150.0), 1.8
 # are closer to each other than this share of it; usual steps need some poses.
 _JUMP_M, _JUMP_STEPS, _RETURN, _MIN_POSES = 0.1, 10.0, 0.25, 5
 _COMMON_SCALES = (1000.0, 5000.0, 6553.5)
-_FRAMES = 16
 
 
-def quick_findings(dataset: RecordedDataset) -> tuple[str, ...]:
-    """One line for each defect or doubt that evenly spaced frames of a recording show."""
-    if dataset.files(0).depth is None:
-        return ()
-    frames = _spread_frames(dataset)
-    medians_m = [float(np.median(f.depth_m[f.depth_m > 0])) for f in frames if f.depth_m.any()]
-    scale = depth_scale_finding(medians_m, dataset.recording.depth_scale)
-    return (*([scale] if scale else []), *_depth_faults(frames))
+def quick_findings(frames: Sequence[Frame], depth_scale: float) -> tuple[str, ...]:
+    """One line for each defect or doubt that frames with depth show.
+
+    Args:
+        frames: evenly spaced ones of a recording.
+        depth_scale: values of its depth images per metre.
+    """
+    scale = depth_scale_finding(median_depths_m(frames), depth_scale)
+    return (*([scale] if scale else []), *depth_faults(frames))
 
 
 def camera_faults(camera: Camera) -> tuple[str, ...]:
@@ -86,18 +85,16 @@ def pose_faults(recording: Recording) -> tuple[str, ...]:
     )
 
 
-def depth_faults(dataset: RecordedDataset) -> list[str]:
+def depth_faults(frames: Sequence[Frame]) -> list[str]:
     """Lines about depth of another kind, and about depth that is not registered to colour."""
-    return _depth_faults(_spread_frames(dataset))
-
-
-def _depth_faults(frames: Sequence[Frame]) -> list[str]:
     lines = depth_kind_fault(frames), measure_registration(frames).verdict()
     return [line for line in lines if line]
 
 
-def _spread_frames(dataset: RecordedDataset) -> list[Frame]:
-    return list(readable_frames(dataset, evenly_spaced_frames(len(dataset), _FRAMES)))
+def median_depths_m(frames: Iterable[Frame]) -> list[float]:
+    """Median depth in metres, of every fourth pixel with depth, of each frame that has depth."""
+    measured = (frame.depth_m[frame.depth_m > 0] for frame in frames)
+    return [float(np.median(depth_m[::4])) for depth_m in measured if depth_m.size]
 
 
 def depth_scale_finding(medians_m: Sequence[float], depth_scale: float) -> str | None:
@@ -126,15 +123,6 @@ def is_impossible_depth(medians_m: Sequence[float]) -> bool:
     if not medians_m:
         return False
     return not _POSSIBLE_M[0] <= float(np.median(medians_m)) <= _POSSIBLE_M[1]
-
-
-def readable_frames(dataset: RecordedDataset, indices: Iterable[int]) -> Iterable[Frame]:
-    """The frames that can be read; others are reported elsewhere."""
-    for index in indices:
-        try:
-            yield dataset[index]
-        except ToolkitError:
-            continue
 
 
 def length(metres: float) -> str:

@@ -9,24 +9,23 @@ this is compared for every convention.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.base import RecordedDataset
-from toolkit.errors import ToolkitError
+from toolkit.datasets.samples import GAPS, SmallFrames
 from toolkit.frame import Frame
 from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-_WIDTH = 160
-# Frames that are compared with later ones, and by how many frames these are later.
-_ANCHORS, _GAPS = 6, (1, 3, 8)
+# Frames of the longest gap may show other parts of the scene. From so many frames on, those are
+# compared that other checks read as well, which are not at the end of the recording.
+_GAPS, _LONG = GAPS[:-1], 60
 _POINTS = 200
 # Depths agree within this share, which is beyond a sensor's noise.
 _DEPTH_TOLERANCE = 0.05
@@ -85,19 +84,24 @@ class PoseConvention:
             poses[:, :3] = self.axes.T @ poses[:, :3]
         return Trajectory(trajectory.timestamps_s, poses)
 
-    def motion(self, T_world_first: Array, T_world_second: Array) -> Array:
-        """T_second_first [4, 4] of two given poses by this convention.
 
-        Their quaternions are in the usual order, also for `scalar_first`.
-        """
-        if self.inverted:
-            given = T_world_second @ se3.inverse(T_world_first)
-        else:
-            given = se3.inverse(T_world_second) @ T_world_first
-        result = np.eye(4)
-        result[:3, :3] = self.axes.T @ given[:3, :3] @ self.axes
-        result[:3, 3] = self.scale * (self.axes.T @ given[:3, 3])
-        return result
+def motions(
+    conventions: Sequence[PoseConvention], T_world_first: Array, T_world_second: Array
+) -> Array:
+    """T_second_first [H, 4, 4] of two given poses by conventions.
+
+    Their quaternions are in the usual order, also for `scalar_first`.
+    """
+    axes, scales, inverted = (
+        np.array([getattr(c, name) for c in conventions]) for name in ("axes", "scale", "inverted")
+    )
+    usual = se3.inverse(T_world_second) @ T_world_first
+    other = T_world_second @ se3.inverse(T_world_first)
+    T_second_first = np.where(inverted[:, None, None], other, usual)
+    T_second_first[:, :3] = np.swapaxes(axes, 1, 2) @ T_second_first[:, :3]
+    T_second_first[:, :3, :3] = T_second_first[:, :3, :3] @ axes
+    T_second_first[:, :3, 3] *= scales[:, None]
+    return T_second_first
 
 
 OURS = PoseConvention(np.eye(3))
@@ -145,13 +149,13 @@ _MIN_SEEN = 0.5
 _SAME_AGREEMENT = 0.985
 
 
-def judge_convention(dataset: RecordedDataset) -> ConventionReport | None:
+def judge_convention(frames: SmallFrames) -> ConventionReport | None:
     """Compare the poses of a recording with its depth and colour.
 
     Returns:
         None without poses, depth or pairs of frames that show the same scene.
     """
-    pairs = [pair for pair in _pairs(dataset) if pair is not None]
+    pairs = [pair for pair in _pairs(frames) if pair is not None]
     if not pairs:
         return None
     conventions = list(all_conventions())
@@ -211,31 +215,25 @@ def _scalar_moved(T: Array) -> Array:
     return se3.from_rotation_translation(R, T[:3, 3])
 
 
-def _pairs(dataset: RecordedDataset) -> Iterator[_Pair | None]:
+def _pairs(frames: SmallFrames) -> Iterator[_Pair | None]:
     # An origin must not be subtracted from poses that may be inverted.
-    recording, truth = dataset.recording, dataset.recording.ground_truth
-    if truth is None or dataset.files(0).depth is None:
+    truth = frames.dataset.recording.ground_truth
+    if truth is None or frames.dataset.files(0).depth is None:
         return
-    small = RecordedDataset(recording, recording.camera.size_up_to(_WIDTH))
-    last = len(dataset) - 1
-    for anchor in np.unique(np.linspace(0, max(last - max(_GAPS), 0), _ANCHORS).astype(int)):
-        first = _posed(small, truth, int(anchor))
+    for anchor in frames.anchors(GAPS[-1] if len(frames) >= _LONG else _GAPS[-1]):
+        first = _posed(frames, truth, anchor)
         if first is None:
             continue
         for gap in _GAPS:
-            second = _posed(small, truth, int(anchor) + gap) if anchor + gap <= last else None
+            second = _posed(frames, truth, anchor + gap)
             if second is not None:
                 yield _pair(*first, *second)
 
 
-def _posed(dataset: RecordedDataset, truth: Trajectory, index: int) -> tuple[Frame, Array] | None:
-    T_world_camera = truth.at(float(dataset.timestamps_s[index]))
-    if T_world_camera is None:
-        return None
-    try:
-        return dataset[index], T_world_camera
-    except ToolkitError:
-        return None  # reported when the frame is processed
+def _posed(frames: SmallFrames, truth: Trajectory, index: int) -> tuple[Frame, Array] | None:
+    frame = frames.get(index)
+    T_world_camera = None if frame is None else truth.at(frame.timestamp_s)
+    return None if frame is None or T_world_camera is None else (frame, T_world_camera)
 
 
 def _pair(first: Frame, T_world_first: Array, second: Frame, T_world_second: Array) -> _Pair | None:
@@ -267,9 +265,8 @@ def _agreement(
     """Agreement [H] of conventions with the images, mean over pairs; see `_pair_agreement`."""
     scores = []
     for pair in pairs:
-        motions = [c.motion(pair.T_world_first, pair.T_world_second) for c in conventions]
-        R = np.array([motion[:3, :3] for motion in motions])
-        t = np.array([motion[:3, 3] for motion in motions])
+        T_second_first = motions(conventions, pair.T_world_first, pair.T_world_second)
+        R, t = T_second_first[:, :3, :3], T_second_first[:, :3, 3]
         scores.append(_pair_agreement(pair, R, t, of_seen))
     return np.mean(scores, axis=0)
 
@@ -285,7 +282,7 @@ def _pair_agreement(pair: _Pair, R: Array, t: Array, of_seen: bool = False) -> A
     Args:
         of_seen: the share of those that the second frame should see, if these are not too few.
     """
-    x, y, z = np.moveaxis(np.einsum("hij,nj->hni", R, pair.points) + t[:, None], 2, 0)
+    x, y, z = np.moveaxis(R @ pair.points.T + t[:, :, None], 1, 0)
     camera = pair.frame.camera
     before = z > 1e-9
     z = np.where(before, z, 1.0)
@@ -315,12 +312,13 @@ def _correlation(first: Array, second: Array, mask: NDArray[np.bool_]) -> Array:
 
 def _with_fine_scale(pairs: list[_Pair], found: PoseConvention) -> tuple[PoseConvention, float]:
     candidates = [replace(found, scale=float(found.scale * s)) for s in _FINE]
-    candidates += [replace(found, scale=unit) for unit in _UNITS]
+    candidates += [replace(found, scale=unit) for unit in (*_UNITS, 1.0)]
     scores = _agreement(pairs, candidates)
     best = float(scores.max())
     # The units come last.
     chosen = int(np.flatnonzero(scores >= _SAME_AGREEMENT * best)[-1])
-    return candidates[chosen if candidates[chosen].scale in _UNITS else int(scores.argmax())], best
+    is_unit = chosen >= len(_FINE)
+    return candidates[chosen if is_unit else int(scores.argmax())], best
 
 
 def _is_usual(convention: PoseConvention) -> bool:

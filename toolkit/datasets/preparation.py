@@ -11,11 +11,12 @@ from toolkit.datasets import video
 from toolkit.datasets.agreement.refine import with_intrinsics, with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.carrier import without_carrier
-from toolkit.datasets.depth_offset import estimate_depth_offset, frames_for_offset
+from toolkit.datasets.depth_offset import OFFSET_FRAMES, estimate_depth_offset
 from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.pose_convention import judge_convention
+from toolkit.datasets.samples import SmallFrames, evenly_spaced
 from toolkit.datasets.shutter.recording import estimate_readout, with_readout
 from toolkit.datasets.times import is_impossible, unit_fault
 from toolkit.errors import DatasetError, SettingsError
@@ -108,7 +109,7 @@ def use_given_poses(dataset: RecordedDataset, options: DatasetOptions, needs_dep
 
 def _corrected(dataset: RecordedDataset, given: Trajectory) -> Trajectory:
     """Poses that contradict depth and colour, in the convention that agrees with them."""
-    judged = judge_convention(dataset)
+    judged = judge_convention(SmallFrames(dataset))
     if judged is None or judged.found is None or judged.found.is_ours:
         return given
     _log.info(
@@ -185,7 +186,7 @@ def _with_offset(
     if offset != "auto":
         return replace(recording, depth_offset_px=offset)
     frames = RecordedDataset(recording, max_frames=max_frames)
-    found = estimate_depth_offset(frames[n] for n in frames_for_offset(len(frames)))
+    found = estimate_depth_offset(frames[n] for n in evenly_spaced(len(frames), OFFSET_FRAMES))
     if found.fault is not None:
         _log.warning(
             "%s: the offset of colour from depth is not determined (%s); depth is not shifted",

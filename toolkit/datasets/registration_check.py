@@ -8,6 +8,7 @@ image, because a wrong focal length shifts opposite sides in opposite directions
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -107,11 +108,6 @@ class RegistrationReport:
         return bool(np.linalg.norm(self.shift_px[part]) <= _tolerance_px(self.width))
 
 
-def evenly_spaced_frames(count: int, most: int) -> list[int]:
-    """Indices of at most a number of frames, of `count`, from the first one to the last."""
-    return [int(n) for n in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))]
-
-
 def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
     """Correlate depth edges with colour gradients over frames of one camera."""
     total = np.zeros((5, 2 * _REACH + 1, 2 * _REACH + 1))
@@ -125,10 +121,10 @@ def measure_registration(frames: Iterable[Frame]) -> RegistrationReport:
         rgb = cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA)
         edges = depth_edges(np.asarray(depth_m, dtype=np.float32))
         gradient = _colour_gradient(np.asarray(rgb, dtype=np.float32))
-        masks = _quarters(edges.shape)
-        contours = _contours(edges)
-        edge_pixels += [np.count_nonzero(contours & (mask > 0)) for mask in masks]
-        quarters = [_correlation(edges * mask, gradient) for mask in masks]
+        contours, padded = _contours(edges), np.pad(gradient, _REACH)
+        parts = _quarters(edges.shape)
+        edge_pixels += [np.count_nonzero(contours[part]) for part in parts]
+        quarters = [_correlation(edges, padded, *part) for part in parts]
         total[1:] += quarters
         standardised += _standardised(np.sum(quarters, axis=0))
         frames_seen += 1
@@ -165,15 +161,11 @@ def _contours(edges: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 def _filled_with_farther(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """Fill holes within each row of an image [H, W] with the larger depth of their ends."""
-    columns = np.arange(depth_m.shape[1])
-    valid = depth_m > 0
-    left = np.maximum.accumulate(np.where(valid, columns, 0), axis=1)
-    right = np.minimum.accumulate(np.where(valid, columns, depth_m.shape[1] - 1)[:, ::-1], axis=1)[
-        :, ::-1
-    ]
-    return np.maximum(
-        np.take_along_axis(depth_m, left, axis=1), np.take_along_axis(depth_m, right, axis=1)
-    )
+    valid, pixels = depth_m > 0, np.arange(depth_m.size).reshape(depth_m.shape)
+    left = np.maximum.accumulate(np.where(valid, pixels, pixels[:, :1]), axis=1)
+    right = np.where(valid, pixels, pixels[:, -1:])[:, ::-1]
+    right = np.minimum.accumulate(right, axis=1)[:, ::-1]
+    return np.maximum(depth_m.take(left), depth_m.take(right))
 
 
 def _colour_gradient(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -181,7 +173,8 @@ def _colour_gradient(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
     smooth = cv2.GaussianBlur(rgb, (0, 0), 1.0)
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)
     down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-    return clipped(np.sqrt((across**2 + down**2).sum(axis=2)))
+    red, green, blue = np.moveaxis(across**2 + down**2, 2, 0)
+    return clipped(np.sqrt(red + green + blue))
 
 
 def clipped(strength: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -191,23 +184,23 @@ def clipped(strength: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(scaled - scaled.mean(), np.float32)
 
 
-def _quarters(shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
-    height, width = shape
-    masks = []
-    for top in (True, False):
-        for left in (True, False):
-            mask = np.zeros(shape, np.float32)
-            rows = slice(0, height // 2) if top else slice(height // 2, None)
-            columns = slice(0, width // 2) if left else slice(width // 2, None)
-            mask[rows, columns] = 1.0
-            masks.append(mask)
-    return masks
+def _quarters(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    """Rows and columns of the quarters of an image."""
+    rows, columns = ((slice(0, n // 2), slice(n // 2, n)) for n in shape)
+    return list(itertools.product(rows, columns))
 
 
-def _correlation(edges: NDArray[np.float32], gradient: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the sum of edges(p) * gradient(p + shift) for all shifts (y, x)."""
-    padded = np.pad(gradient, _REACH)
-    return np.asarray(cv2.matchTemplate(padded, edges, cv2.TM_CCORR), np.float64)
+def _correlation(
+    edges: NDArray[np.float32], padded: NDArray[np.float32], rows: slice, columns: slice
+) -> NDArray[np.float64]:
+    """Return the sum over a part of edges(p) * gradient(p + shift) for all shifts (y, x).
+
+    Args:
+        padded: the gradient with a border of the largest shift.
+    """
+    reached = tuple(slice(part.start, part.stop + 2 * _REACH) for part in (rows, columns))
+    found = cv2.matchTemplate(padded[reached], edges[rows, columns], cv2.TM_CCORR)
+    return np.asarray(found, np.float64)
 
 
 def _standardised(surface: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -85,18 +85,19 @@ class ImageGrid:
 
     def depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Resample a depth image [H, W] (m, 0 where missing) without mixing surfaces."""
-        inverse = np.where(depth_m > 0, 1.0 / np.where(depth_m > 0, depth_m, 1.0), 0.0)
-        middle = inverse[np.ix_(self._depth_rows.middle, self._depth_columns.middle)]
-        total, area = np.zeros_like(middle), np.zeros_like(middle)
+        inverse = np.divide(1.0, depth_m, out=np.zeros_like(depth_m), where=depth_m > 0)
+        middle = inverse.take(self._depth_rows.middle, axis=0).take(self._depth_columns.middle, 1)
+        total, area, limit = np.zeros_like(middle), np.zeros_like(middle), _EDGE * middle
         for rows, heights in self._depth_rows.parts:
+            in_rows = inverse.take(rows, axis=0)
             for columns, widths in self._depth_columns.parts:
-                other = inverse[np.ix_(rows, columns)]
-                same = np.abs(other - middle) < _EDGE * middle
-                coverage = heights[:, None] * widths * same
-                total += coverage * other
+                other = in_rows.take(columns, axis=1)
+                coverage = heights[:, None] * widths
+                coverage *= np.abs(other - middle) < limit
                 area += coverage
-        known = total > 0
-        return np.where(known, area / np.where(known, total, 1.0), 0.0).astype(np.float32)
+                coverage *= other
+                total += coverage
+        return np.divide(area, total, out=np.zeros_like(area), where=total > 0)
 
     def nearest(self, image: NDArray) -> NDArray:
         """Resample a label image [H, W] to this grid by nearest neighbour."""

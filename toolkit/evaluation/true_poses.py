@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from toolkit.errors import DatasetError
 from toolkit.evaluation.trajectory import AlignmentKind, absolute_trajectory_error
@@ -128,10 +128,9 @@ class _Motions:
     """
 
     def __init__(self, trajectory: Trajectory, times_s: Array) -> None:
-        own_s, poses = trajectory.timestamps_s, trajectory.T_world_camera
-        turned = Slerp(own_s, Rotation.from_matrix(poses[:, :3, :3]))(times_s)
-        moved = [np.interp(times_s, own_s, poses[:, axis, 3]) for axis in range(3)]
-        positions, back = np.stack(moved, axis=1), turned[:-_SPAN].inv()
+        poses = trajectory.interpolated(times_s)
+        turned, positions = Rotation.from_matrix(poses[:, :3, :3]), poses[:, :3, 3]
+        back = turned[:-_SPAN].inv()
         self.translations_m = back.apply(positions[_SPAN:] - positions[:-_SPAN])
         self.rotations = back * turned[_SPAN:]
 

@@ -66,17 +66,24 @@ class Trajectory:
             return None
         return self.T_world_camera[nearest]
 
-    def interpolated(self, timestamp_s: float) -> NDArray[np.float64] | None:
-        """Return the pose [4, 4] between the poses before and after a time; None outside."""
-        at_a_pose = self.at(timestamp_s)
-        after = int(np.searchsorted(self.timestamps_s, timestamp_s))
-        if at_a_pose is not None or not 0 < after < len(self):
-            return at_a_pose
-        (start_s, end_s), (first, second) = (
-            values[after - 1 : after + 1] for values in (self.timestamps_s, self.T_world_camera)
-        )
-        share = (timestamp_s - start_s) / (end_s - start_s)
-        return se3.orthonormalise(se3.interpolated(first, second, share))
+    def interpolated(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return poses [N, 4, 4] between those before and after times [N].
+
+        Outside of the times of at least two poses, they are NaN.
+        """
+        from scipy.spatial.transform import Rotation, Slerp
+
+        poses = np.full((len(times_s), 4, 4), np.nan)
+        if len(self) < 2:
+            return poses
+        own_s, rounding_s = self.timestamps_s, 1e-4
+        known = (times_s >= own_s[0] - rounding_s) & (times_s <= own_s[-1] + rounding_s)
+        inner_s = np.clip(times_s[known], own_s[0], own_s[-1])
+        rotations = Slerp(own_s, Rotation.from_matrix(self.T_world_camera[:, :3, :3]))(inner_s)
+        positions_m = [np.interp(inner_s, own_s, axis_m) for axis_m in self.positions_m.T]
+        poses[known] = np.eye(4)
+        poses[known, :3, :3], poses[known, :3, 3] = rotations.as_matrix(), np.stack(positions_m, 1)
+        return poses
 
     def delayed(self, delay_s: float) -> Trajectory:
         """Return the trajectory of a camera whose poses were recorded late by a time.
@@ -84,11 +91,9 @@ class Trajectory:
         The pose at a time becomes that at the time plus the delay, interpolated; poses without
         another one so much later, or earlier, are omitted.
         """
-        poses = [(t, self.interpolated(float(t) + delay_s)) for t in self.timestamps_s]
-        kept = [(t, pose) for t, pose in poses if pose is not None]
-        if not kept:
-            return Trajectory(np.empty(0), np.empty((0, 4, 4)))
-        return Trajectory(np.array([t for t, _ in kept]), np.stack([p for _, p in kept]))
+        poses = self.interpolated(self.timestamps_s + delay_s)
+        known = ~np.isnan(poses[:, 3, 3])
+        return Trajectory(self.timestamps_s[known], poses[known])
 
     def transformed(self, T_new_world: NDArray[np.float64]) -> Trajectory:
         """Return the trajectory in another world frame."""

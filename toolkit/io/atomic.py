@@ -10,6 +10,8 @@ from pathlib import Path
 
 from toolkit.errors import RunFolderError, ToolkitError
 
+# Beginning of the names of files that are being written or replaced.
+TEMPORARY = (".writing-", ".replaced-")
 # Bytes by which a file must be able to grow: more than the blocks of a file system.
 _PROBE = 1 << 16
 

@@ -54,7 +54,7 @@ def read_rgb(path: PathLike, max_pixels: int = MAX_PIXELS) -> NDArray[np.float32
         )
     if image.shape[2] < 3:
         image = np.repeat(image[..., :1], 3, axis=2)
-    return image[..., :3].astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
+    return np.divide(image[..., :3], np.float32(np.iinfo(image.dtype).max), dtype=np.float32)
 
 
 def read_depth_m(path: PathLike, scale: float, max_pixels: int = MAX_PIXELS) -> NDArray[np.float32]:
@@ -70,7 +70,7 @@ def read_depth_m(path: PathLike, scale: float, max_pixels: int = MAX_PIXELS) -> 
             image.
     """
     raw = read_depth_values(path, max_pixels)
-    depth_m = raw.astype(np.float32) / np.float32(scale)
+    depth_m = np.divide(raw, np.float32(scale), dtype=np.float32)
     depth_m[raw == SATURATED_DEPTH] = 0.0
     return depth_m
 

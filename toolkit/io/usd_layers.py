@@ -77,13 +77,19 @@ def check_here(pxr: Any) -> int:
         resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
     try:
         _check(pxr, Path(sys.argv[1]))
-    except (DamagedError, OSError) as error:
-        sys.stdout.buffer.write(str(error).encode("utf-8", "replace"))
-        return _REFUSED
+    except DamagedError as error:
+        return _refused(str(error))
+    except OSError as error:
+        return _refused(f"{Path(error.filename or '').name}: {error.strerror}")
     except (pxr.Tf.ErrorException, RuntimeError):
-        sys.stdout.write("it is no USD file, or is damaged")
-        return _REFUSED
+        return _refused("it is no USD file, or is damaged")
     return 0
+
+
+def _refused(reason: str) -> int:
+    """Tell the other process, and return the status of this one."""
+    sys.stdout.buffer.write(reason.encode("utf-8", "replace"))
+    return _REFUSED
 
 
 def _check(pxr: Any, path: Path) -> None:
@@ -163,7 +169,8 @@ def _read_values(sdf: Any, layer: Any) -> None:
     def read(path: Any) -> None:
         spec = layer.GetObjectAtPath(path)
         for key in spec.ListInfoKeys() if spec else ():
-            spec.GetInfo(key)
+            with contextlib.suppress(TypeError):  # it is decoded, but no Python value
+                spec.GetInfo(key)
         for time in layer.ListTimeSamplesForPath(path):
             layer.QueryTimeSample(path, time)
 

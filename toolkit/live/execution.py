@@ -14,6 +14,7 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.resize import ImageGrid
+from toolkit.datasets.samples import spread_frames
 from toolkit.errors import CameraError, DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.frame_costs import FrameCostRecorder
 from toolkit.evaluation.timing import StageRecorder
@@ -42,6 +43,7 @@ from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.session import Session
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.runs.snapshots import SnapshotWriter
+from toolkit.runs.stopping import StopSignals
 
 _log = logging.getLogger(__name__)
 
@@ -56,11 +58,13 @@ class LiveHooks:
 
     Attributes:
         stop: is set to end the run; the map is finished then.
+        signals: end the run with a checkpoint instead, if `stop` is set as well.
         progress: wraps the frames in a progress bar.
         observers: follow the progress, for instance a recording or a viewer.
     """
 
     stop: threading.Event = field(default_factory=threading.Event)
+    signals: StopSignals = field(default_factory=StopSignals)
     progress: Progress = no_progress
     observers: Sequence[ProgressObserver] = ()
 
@@ -105,6 +109,7 @@ def run_live(
     Raises:
         CameraError: the camera is missing, or was disconnected. In the second case, the results of
             the frames before are complete.
+        Stopped: a signal ended the run; `run` can resume it.
         ToolkitError: bad settings, data or output folder.
     """
     check_live_settings(settings)
@@ -173,7 +178,8 @@ def _execute(
     recorder = StageRecorder()
     up = FoundSide(up_side(settings.dataset))
     if replayed is not None:
-        up = find_side(replayed, settings.dataset)
+        up = find_side(replayed, spread_frames(replayed), settings.dataset)
+        replayed.recording.kept.clear()
     settings = up.chosen(settings)
     slam = build_slam(replayed, settings, folder, recorder)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
@@ -216,6 +222,7 @@ def _execute(
             frames = RecordedDataset(replayed.recording, settings.image_size, seen)
         checkpoints.save(system, len(frames))
         checkpoints.wait()
+        hooks.signals.check()
         result = session.finish(hooks.progress)
         record = RunRecord(
             recorder, costs.costs(), summary, findings=up.findings, sources=slam.sources

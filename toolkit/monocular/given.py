@@ -12,7 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.pose_convention import OURS, PoseConvention, all_conventions
+from toolkit.datasets.pose_convention import (
+    OURS,
+    PoseConvention,
+    all_conventions,
+    motions,
+)
 from toolkit.errors import DatasetError
 from toolkit.features.keypoints import Keypoints, detect_keypoints, match_keypoints
 from toolkit.frame import Frame
@@ -209,7 +214,7 @@ def _agreement(camera: Camera, pairs: Sequence[_Pair], convention: PoseConventio
     """Share of the matches between neighbours that agree with the poses by a convention."""
     agrees = matches = 0
     for pair in pairs:
-        T_second_first = convention.motion(pair.T_first, pair.T_second)
+        (T_second_first,) = motions([convention], pair.T_first, pair.T_second)
         agrees += int(_triangulated(camera, pair, T_second_first)[1].sum())
         matches += len(pair.first_px)
     return agrees / max(matches, 1)

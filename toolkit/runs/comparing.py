@@ -15,7 +15,7 @@ from toolkit.evaluation.metrics import flattened, read_metrics
 from toolkit.io.images import read_rgb
 from toolkit.options import as_plain
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.settings import load_settings
+from toolkit.runs.settings import load_stored_settings
 
 
 def compared_run(path: Path, name: str, page: Path) -> ComparedRun:
@@ -36,7 +36,7 @@ def compared_run(path: Path, name: str, page: Path) -> ComparedRun:
                 f"{path} has no {file.name}: the run is not finished; "
                 "repeat its semsplat run command with --resume"
             )
-    settings = as_plain(load_settings(folder.config))
+    settings = as_plain(load_stored_settings(folder.config)[0])
     report = None
     if folder.report.is_file():
         report = quote(Path(os.path.relpath(folder.report, page.parent)).as_posix())

@@ -5,13 +5,14 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.faults import fault_tolerant
 from toolkit.datasets.prefetch import prefetched
+from toolkit.datasets.samples import spread_frames
 from toolkit.depth_priors.factory import build_provider
 from toolkit.errors import DatasetError, RunFolderError, SettingsError
 from toolkit.evaluation.frame_costs import FrameCostRecorder
@@ -26,7 +27,7 @@ from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
 from toolkit.runs.evaluation import load_lpips
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.image_side import find_side
+from toolkit.runs.image_side import FoundSide, find_side
 from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import locked
 from toolkit.runs.modes import RunContext, RunMode, mode_of
@@ -39,11 +40,21 @@ from toolkit.runs.saved_map import SavedMap, load_saved_map, open_saved_map
 from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.runs.snapshots import SnapshotWriter
+from toolkit.runs.stopping import StopSignals
 from toolkit.semantics.decoder import check_reader
 from toolkit.slam.system import Slam
 from toolkit.synthetic_rooms import RoomSettings, make_room
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class _Hooks:
+    """What follows the progress of a run and ends it; see `run`."""
+
+    progress: Progress
+    observers: Observers
+    stop: StopSignals
 
 
 def run(
@@ -52,6 +63,7 @@ def run(
     resume: bool = False,
     progress: Progress = no_progress,
     observers: Sequence[ProgressObserver] = (),
+    stop: StopSignals | None = None,
 ) -> None:
     """Track and map a dataset, evaluate the result and write the run folder.
 
@@ -62,9 +74,11 @@ def run(
         resume: continue from the last checkpoint in `out`.
         progress: wraps the frames in a progress bar.
         observers: follow the progress, for instance a recording or a viewer.
+        stop: signals that end the run with a checkpoint.
 
     Raises:
         ToolkitError: bad settings, data or output folder, or another process runs in it.
+        Stopped: a signal ends the run.
     """
     check_settings(settings)
     out = Path(out)
@@ -81,13 +95,16 @@ def run(
     with locked(out):
         if resume:
             folder.check_config(config)
-            folder.remove_leftovers()
+        folder.remove_leftovers()
+        if resume:
+            folder.prepare()
             if folder.is_finished and not folder.has_checkpoint:
                 _log.info("%s is finished; there is nothing to resume.", out)
                 return
         try:
             followers = Observers([SnapshotWriter(), *observers])
-            _execute(settings, dataset, folder, saved, progress, followers)
+            hooks = _Hooks(progress, followers, stop or StopSignals())
+            _execute(settings, dataset, folder, saved, hooks)
         except Exception:
             # Without a checkpoint there is nothing to resume.
             if not (resume or folder.has_checkpoint or folder.is_finished):
@@ -100,13 +117,12 @@ def _execute(
     dataset: RecordedDataset,
     folder: RunFolder,
     saved: SavedMap | None,
-    progress: Progress,
-    observers: Observers,
+    hooks: _Hooks,
 ) -> None:
+    progress, stop = hooks.progress, hooks.stop
     mode, recorder = mode_of(settings), StageRecorder()
-    up = find_side(dataset, settings.dataset, mode.needs_depth)
+    up, findings = _examined(dataset, settings)
     settings = up.chosen(settings)
-    findings = (*mode.findings(dataset, settings), *up.findings)
     # Missing weights are reported before the motion is estimated.
     provider = build_provider(settings.depth_prior, dataset.stems, dataset.recording.camera)
     with logged_to(folder.log):
@@ -123,7 +139,7 @@ def _execute(
     checkpoints = CheckpointWriter(folder, paced is not None, identity)
     costs = FrameCostRecorder(recorder)
     session = Session(
-        dataset.name, dataset.camera, settings, folder, slam, system, costs, observers
+        dataset.name, dataset.camera, settings, folder, slam, system, costs, hooks.observers, stop
     )
     with session.open():
         for note in up.notes:
@@ -149,6 +165,7 @@ def _execute(
             )
         checkpoints.save(system, len(dataset))
         checkpoints.wait()
+        stop.check()
         pace = None if paced is None else _log_pace(paced.summary())
         result = session.finish(progress)
         prior = None
@@ -159,6 +176,16 @@ def _execute(
         )
         write_results(result, dataset, folder, settings, record)
         session.close_results()
+
+
+def _examined(dataset: RecordedDataset, settings: RunSettings) -> tuple[FoundSide, tuple[str, ...]]:
+    """The side of the images that is up, and what a few frames show to be wrong."""
+    mode = mode_of(settings)
+    frames = [*spread_frames(dataset)] if mode.needs_depth else []
+    up = find_side(dataset, frames, settings.dataset)
+    findings = mode.findings(dataset, frames, up.chosen(settings))
+    dataset.recording.kept.clear()
+    return up, (*findings, *up.findings)
 
 
 def _log_findings(mode: RunMode, dataset: RecordedDataset, findings: Sequence[str]) -> None:

@@ -26,10 +26,11 @@ from toolkit.io.length_names import LengthNames
 from toolkit.io.splat_placement import origin_comment
 from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.formats import FolderVersion, folder_version, upgraded
 from toolkit.runs.frame_records import read_part, read_state
 from toolkit.runs.recording_samples import is_same_recording
 from toolkit.runs.recordings import open_recording
-from toolkit.runs.settings import RunSettings, load_settings
+from toolkit.runs.settings import RunSettings, load_stored_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.submaps.store import SavedSubmaps, SubmapStore
@@ -59,6 +60,7 @@ class FinishedRun:
         up_side: the side of the images that is up.
         origin_m: [3] position of the map's origin in the coordinates of the given poses; 0 unless
             these are far away.
+        version: version of the folder, which may be older than this one.
     """
 
     folder: RunFolder
@@ -79,6 +81,7 @@ class FinishedRun:
     metric: bool
     up_side: ImageSide
     origin_m: NDArray[np.float64]
+    version: FolderVersion
 
     @property
     def submaps(self) -> SavedSubmaps:
@@ -199,8 +202,7 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             f"{path} has no {file.name}: the run is not finished; "
             "repeat its semsplat run command with --resume"
         )
-    content = _read_frames(folder.frames)
-    settings = load_settings(folder.config)
+    content, settings, version = _described(folder)
     taxonomy = folder.read_taxonomy()
     code = None if taxonomy is None else build_code(settings.semantics.code, taxonomy)
     semantics = build_semantic_mapping(settings.semantics, code, settings.seed)
@@ -231,9 +233,27 @@ def load_run(path: str | os.PathLike[str]) -> FinishedRun:
             metric=bool(content["metric"]),
             up_side=_side(content.get("up", "top")),
             origin_m=np.array(content.get("origin_m", [0, 0, 0]), np.float64).reshape(3),
+            version=version,
         )
     except (KeyError, TypeError, ValueError, SettingsError) as error:
-        raise RunFolderError(f"{folder.frames} is damaged ({error!r}); run again") from error
+        raise _damaged(folder, error) from error
+
+
+def _described(folder: RunFolder) -> tuple[dict[str, Any], RunSettings, FolderVersion]:
+    """The content of frames.json in the current format, the settings, and the folder's version."""
+    content = _read_frames(folder.frames)
+    settings, ignored = load_stored_settings(folder.config)
+    try:
+        version = folder_version(content, ignored)
+        content = upgraded(content, version, settings)
+    except (KeyError, TypeError, ValueError) as error:
+        raise _damaged(folder, error) from error
+    version.log(folder.path)
+    return content, settings, version
+
+
+def _damaged(folder: RunFolder, error: Exception) -> RunFolderError:
+    return RunFolderError(f"{folder.frames} is damaged ({error!r}); run again")
 
 
 def _read_frames(path: Path) -> dict[str, Any]:

@@ -38,7 +38,9 @@ from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.io.splat_parts import write_splat_parts
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.io.user_files import read_text
+from toolkit.runs.formats import counted, upgraded_decoder
 from toolkit.runs.lock import LOCK, is_unused
+from toolkit.runs.settings import other_keys
 from toolkit.runs.splat_clouds import read_cloud
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -110,13 +112,27 @@ class RunFolder:
         if not is_unused(path):
             raise RunFolderError(f"{path} is not an empty folder; choose another output folder")
         try:
-            for part in (path, folder.renders, folder.checkpoints):
-                part.mkdir(parents=True, exist_ok=True)
+            path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise cannot_write(path, error) from error
-        folder.loops.touch()
+        # First, so that a folder whose process was killed is known to be that of a run.
         write_text(folder.config, config)
+        folder.prepare()
         return folder
+
+    def prepare(self) -> None:
+        """Create what a new run contains besides its settings.
+
+        Raises:
+            RunFolderError: the folder cannot be written.
+        """
+        try:
+            for part in (self.renders, self.checkpoints):
+                part.mkdir(exist_ok=True)
+            if not self.loops.exists():  # a refused resumption changes no file
+                self.loops.touch()
+        except OSError as error:
+            raise cannot_write(self.path, error) from error
 
     @classmethod
     def open(cls, path: Path) -> RunFolder:
@@ -180,10 +196,32 @@ class RunFolder:
             raise RunFolderError(f"cannot read {self.config} ({error}); start a new run") from error
         for old, new in zip_longest(stored, config.splitlines(), fillvalue="(nothing)"):
             if old != new:
+                self.check_version()
                 raise SettingsError(
                     f"cannot resume {self.path} with other settings: '{old.strip()}' in "
                     f"config.yaml, '{new.strip()}' now"
                 )
+
+    def check_version(self) -> None:
+        """Check that this version has the options of the version that started the run.
+
+        Raises:
+            RunFolderError: it has others, so that the run cannot be resumed.
+            SettingsError: config.yaml is unreadable.
+        """
+        keys = other_keys(self.config)
+        if not keys:
+            return
+        saved = "stated nowhere"
+        for path, serial in self.saved_checkpoints()[:1]:
+            stated = {} if serial < 0 else read_json(path / "metadata.json")
+            saved = f"semsplat {stated.get('version')}, checkpoint format {stated.get('format')}"
+        raise RunFolderError(
+            f"{self.path} cannot be resumed: its settings are those of another version ({saved}) "
+            f"than this one (semsplat {__version__}, checkpoint format {CHECKPOINT_FORMAT}), which "
+            f"differ in {counted(keys)}; resume with the version that started the run, or start "
+            "a new run"
+        )
 
     def save_checkpoint(
         self,
@@ -350,7 +388,7 @@ class RunFolder:
         """Read the state of the features' decoder, empty for a map without semantics."""
         if not self.semantics.is_dir():
             return {}
-        return arrays_below(read_array_tree(self.semantics).arrays, "reader/")
+        return upgraded_decoder(arrays_below(read_array_tree(self.semantics).arrays, "reader/"))
 
     def write_trajectory(
         self, trajectory: Trajectory, covariances: NDArray[np.float64] | None = None

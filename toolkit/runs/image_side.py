@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from toolkit.datasets.base import RecordedDataset
-from toolkit.datasets.findings import readable_frames
 from toolkit.datasets.options import DatasetOptions
-from toolkit.datasets.registration_check import evenly_spaced_frames
 from toolkit.errors import DependencyError
+from toolkit.frame import Frame
 from toolkit.geometry.image_sides import ImageSide, nearest_side
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
-from toolkit.slam.length_unit import METRE, LengthUnit
-
-_FRAMES = 16
+from toolkit.slam.length_unit import LengthUnit
 
 
 @dataclass(frozen=True)
@@ -42,20 +40,18 @@ def up_side(options: DatasetOptions) -> ImageSide:
 
 
 def find_side(
-    dataset: RecordedDataset, options: DatasetOptions, has_depth: bool = True
+    dataset: RecordedDataset, frames: Iterable[Frame], options: DatasetOptions
 ) -> FoundSide:
     """Find the side of a recording's images that is up.
 
     Args:
+        frames: evenly spaced ones with depth. Without them, or without Open3D, only the options
+            and gravity count.
         options: may state the side.
-        has_depth: whether the run uses the depth of the recording; otherwise, only the options and
-            gravity count, as without Open3D.
     """
     if options.up != "auto":
         return FoundSide(options.up)
-    judgement = _by_gravity(dataset)
-    if judgement is None:
-        judgement = _by_depth(dataset) if has_depth else SideJudgement("top")
+    judgement = _by_gravity(dataset) or _by_depth(frames)
     side, rival = judgement.side, judgement.rival
     # Labelled floors determine the vertical.
     findings = () if rival is None or dataset.label_names else (_doubt(side, rival),)
@@ -70,12 +66,12 @@ def _by_gravity(dataset: RecordedDataset) -> SideJudgement | None:
     return SideJudgement(nearest_side(up @ truth.T_world_camera[:, :3, :3]))
 
 
-def _by_depth(dataset: RecordedDataset) -> SideJudgement:
+def _by_depth(frames: Iterable[Frame]) -> SideJudgement:
+    frames = [*frames]
     # Sizes of floors and furniture are those of rooms.
-    unit = LengthUnit.of(dataset) or METRE
-    indices = evenly_spaced_frames(len(dataset), _FRAMES)
+    unit = LengthUnit.of_frames(frames)
     try:
-        return judge_side(unit.frame(frame) for frame in readable_frames(dataset, indices))
+        return judge_side(map(unit.frame, frames))
     except DependencyError:  # labels from depth, which need the side, report it
         return SideJudgement("top")
 

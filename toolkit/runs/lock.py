@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
 from toolkit.errors import RunFolderError
+from toolkit.io.atomic import TEMPORARY
 
 LOCK = ".lock"
 
@@ -17,8 +18,15 @@ _log = logging.getLogger(__name__)
 
 
 def is_unused(folder: Path) -> bool:
-    """Return whether a folder does not exist, or contains nothing but a lock."""
-    return not folder.exists() or (folder.is_dir() and {p.name for p in folder.iterdir()} <= {LOCK})
+    """Return whether a folder does not exist, or contains nothing but what a process left there."""
+    return not folder.exists() or (
+        folder.is_dir() and not unlisted(path.name for path in folder.iterdir())
+    )
+
+
+def unlisted(names: Iterable[str]) -> list[str]:
+    """The names in a folder without the lock and temporary files, which killed processes leave."""
+    return [name for name in names if name != LOCK and not name.startswith(TEMPORARY)]
 
 
 @contextmanager

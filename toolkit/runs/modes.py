@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -17,12 +17,12 @@ from toolkit.datasets.agreement.findings import contradictions
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.findings import quick_findings
 from toolkit.datasets.images_only import ImagesOnly
-from toolkit.datasets.pose_convention import judge_convention
 from toolkit.depth_priors.correction import DepthCorrection
 from toolkit.depth_priors.provider import DepthProvider
 from toolkit.errors import DatasetError, SettingsError, ToolkitError
 from toolkit.evaluation.timing import StageRecorder
 from toolkit.evaluation.trajectory import AlignmentKind
+from toolkit.frame import Frame
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
 from toolkit.loops.closing.interface import GivenParts, LoopClosing, NoLoopClosing
@@ -136,8 +136,13 @@ class RunMode(ABC):
             ToolkitError: the settings need something that the dataset lacks.
         """
 
-    def findings(self, dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
+    def findings(
+        self, dataset: RecordedDataset, frames: Sequence[Frame], settings: RunSettings
+    ) -> tuple[str, ...]:
         """What a few frames show to be wrong with a recording, one line each.
+
+        Args:
+            frames: evenly spaced ones with depth; none if the run does not use it.
 
         Raises:
             DatasetError: poses that the run needs contradict its images.
@@ -169,12 +174,19 @@ class DepthCamera(RunMode):
         """The dataset as it is."""
         return RunInput(run.dataset)
 
-    def findings(self, dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
+    def findings(
+        self, dataset: RecordedDataset, frames: Sequence[Frame], settings: RunSettings
+    ) -> tuple[str, ...]:
         """Those of the quick checks, and intrinsics and poses that contradict the images."""
-        verdict = _verdict_on_poses(dataset)
-        if verdict is None:
-            return (*quick_findings(dataset), *contradictions(dataset))
-        return (*quick_findings(dataset), f"{verdict}; the errors of the trajectory are wrong")
+        quick = quick_findings(frames, dataset.recording.depth_scale)
+        found = contradictions(dataset)
+        if found.convention is None:
+            return (*quick, *found.others)
+        return (*quick, self._pose_finding(found.convention, settings))
+
+    def _pose_finding(self, wrong: str, settings: RunSettings) -> str:
+        """The line about poses of a wrong convention."""
+        return f"{wrong}; the errors of the trajectory are wrong"
 
     def front_end(self, parts: FrontEndParts) -> FrontEnd:
         """The tracker of the settings, with loop closure."""
@@ -210,17 +222,13 @@ class DepthAtGivenPoses(DepthCamera):
     locates = False
     given_poses = True
 
-    def findings(self, dataset: RecordedDataset, settings: RunSettings) -> tuple[str, ...]:
-        """Those of the quick checks, and intrinsics and poses that contradict the images."""
-        findings, verdict = quick_findings(dataset), _verdict_on_poses(dataset)
-        if verdict is None:
-            return (*findings, *contradictions(dataset))
+    def _pose_finding(self, wrong: str, settings: RunSettings) -> str:
         if settings.dataset.pose_convention == "check":
             raise DatasetError(
-                f"{settings.dataset.path}: {verdict}; correct them, or convert them with "
+                f"{settings.dataset.path}: {wrong}; correct them, or convert them with "
                 f"--dataset.pose-convention correct (trust uses them as they are)"
             )
-        return (*findings, verdict)
+        return wrong
 
     def front_end(self, parts: FrontEndParts) -> FrontEnd:
         """Looks the poses up."""
@@ -350,12 +358,6 @@ def mode_of(settings: RunSettings) -> RunMode:
             return ImagesAtGivenPoses()
         return ImagesWithPriors() if settings.depth_prior.use == "track" else ImagesAlone()
     return DepthAtGivenPoses() if given else DepthCamera()
-
-
-def _verdict_on_poses(dataset: RecordedDataset) -> str | None:
-    """What depth and colour say against the poses of a dataset; None for nothing."""
-    convention = judge_convention(dataset)
-    return convention.verdict() if convention else None
 
 
 def _poses_of(dataset: Dataset | None) -> Trajectory:

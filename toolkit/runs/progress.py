@@ -24,7 +24,7 @@ from toolkit.io.splat_labels import SplatLabels
 from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
 from toolkit.runs.map_files import splat_labels
-from toolkit.runs.settings import load_settings
+from toolkit.runs.settings import load_stored_settings
 from toolkit.runs.snapshots import watch
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
@@ -119,7 +119,7 @@ class ProgressReader:
 
     def __init__(self, path: Path) -> None:
         self.folder = RunFolder.open(path)
-        self._settings = load_settings(self.folder.config)
+        self._settings = load_stored_settings(self.folder.config)[0]
         self._next_frame = -1
         self._serials: dict[Path, int] = {}
         # Gaussians of the stored submaps by number and version.

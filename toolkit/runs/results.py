@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from toolkit import __version__
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.evaluation.expected_quality import shortfall_warnings
@@ -34,6 +35,7 @@ from toolkit.runs.evaluation import (
     semantic_evaluation,
 )
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.formats import RUN_FORMAT
 from toolkit.runs.frame_records import frame_records
 from toolkit.runs.image_side import up_side
 from toolkit.runs.instance_files import write_instances
@@ -106,6 +108,7 @@ def _write_frames(outcome: RunOutcome, folder: RunFolder) -> None:
     if outcome.settings.scene.graph:
         write_scene_graph(folder, result.scene_graph, metric, origins)
     frames = frame_records(result, outcome.tracked, outcome.states, outcome.parts)
+    frames |= {"format": RUN_FORMAT, "version": __version__}
     frames |= {"camera": asdict(dataset.camera), "metric": metric, **origins}
     if isinstance(dataset, RecordedDataset):
         frames["recording"] = RecordingEstimates.of(dataset.recording).to_json()

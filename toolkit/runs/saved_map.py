@@ -70,8 +70,15 @@ def open_saved_map(settings: RunSettings, dataset: Dataset | None) -> SavedMap |
         source = summary(settings.map, found)
         return SavedMap(settings.map, {0: found.submap}, {}, source=source)
     saved = load_run(settings.map)
+    saved.version.require_settings(
+        settings.map,
+        ("loops.features", "semantics"),
+        "extended",
+        f"--map {saved.folder.map} to extend it as a splat file",
+    )
     _check_descriptors(saved, settings)
     _check_semantics(saved, settings, dataset)
+    _check_shapes(saved, settings)
     semantics, objects = saved.folder.read_semantics(), load_objects(saved.folder)
     return SavedMap(saved.folder.path, saved.submaps, semantics, objects)
 
@@ -114,6 +121,22 @@ def _check_semantics(saved: FinishedRun, settings: RunSettings, dataset: Dataset
             f"map {settings.map} has features of another code; set semantics.code "
             f"({stored.code.kind} in that run) and semantics.network as in that run"
         )
+
+
+def _check_shapes(saved: FinishedRun, settings: RunSettings) -> None:
+    """Check that all Gaussians will have one shape: map.ply has the same columns for all."""
+    options = settings.mapping
+    shape = "ellipsoids" if saved.gaussians.ellipsoids is not None else "spheres"
+    future = options.final_shape if options.final_iterations > 0 else "spheres"
+    if shape == future:
+        return
+    remedy = f"--mapping.final-shape {shape}"
+    if options.final_iterations == 0:
+        remedy = "a positive --mapping.final-iterations"
+    raise SettingsError(
+        f"map {settings.map}: its Gaussians are {shape}, and those of this run would be {future}; "
+        f"set {remedy}"
+    )
 
 
 def load_saved_map(slam: Slam, saved: SavedMap, folder: RunFolder) -> None:

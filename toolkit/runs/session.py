@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from toolkit.evaluation.frame_costs import FrameCostRecorder
@@ -20,6 +20,7 @@ from toolkit.runs.memory_limit import MemoryLimit
 from toolkit.runs.observers import ObservedRun, Observers, Progress
 from toolkit.runs.outcome import held_out
 from toolkit.runs.settings import RunSettings
+from toolkit.runs.stopping import StopSignals
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam
 from toolkit.stages import Stage
@@ -40,6 +41,7 @@ class Session:
         system: what is given the frames: `slam`, or what paces it.
         costs: measures the time and memory of frames, and the time of each stage.
         observers: are informed of the progress.
+        stop: signals that end the run.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Session:
     system: System
     costs: FrameCostRecorder
     observers: Observers
+    stop: StopSignals = field(default_factory=StopSignals)
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -77,14 +80,17 @@ class Session:
 
         Raises:
             MemoryLimitError: nearly all memory is used; a checkpoint is saved.
+            Stopped: a signal ends the run; a checkpoint is saved.
         """
-        with self.costs.recorder.timed(Stage.ONLINE):
+        with self.costs.recorder.timed(Stage.ONLINE), self.stop.deferred():
             saved_at, new_keyframes, memory = time.monotonic(), 0, MemoryLimit()
             for frame in frames:
                 new_keyframes += self._process_frame(frame, expected)
-                if memory.reached():
+                full = memory.reached()
+                if full or self.stop.number is not None:
                     checkpoints.save(self.system, frame.index + 1)
                     checkpoints.wait()
+                    self.stop.check()
                     raise memory.error(self.folder.path)
                 if self._checkpoint_due(saved_at, new_keyframes):
                     checkpoints.save(self.system, frame.index + 1)

@@ -25,6 +25,7 @@ from toolkit.options import (
     PositiveFloat,
     PositiveInt,
     Range,
+    accepted,
     as_plain,
     validated,
     with_home,
@@ -123,6 +124,44 @@ def load_settings(path: Path | None = None, preset: str = "default") -> RunSetti
     if not path.exists() and str(path) in names:
         raise SettingsError(f"there is no file {path}; select the preset by --preset {path}")
     return validated(RunSettings, overridden(values, _read(path)), str(path))
+
+
+def load_stored_settings(path: Path) -> tuple[RunSettings, tuple[str, ...]]:
+    """Read the settings of a run, which another version may have written.
+
+    Args:
+        path: config.yaml of a run folder.
+
+    Returns:
+        The settings, and the keys in the file that are ignored: options that this version lacks,
+        and, if there are such, values that it does not accept. These options have their defaults.
+
+    Raises:
+        SettingsError: the file is unreadable, or a value is invalid.
+    """
+    return accepted(RunSettings, _read(path), str(path))
+
+
+def other_keys(path: Path) -> tuple[str, ...]:
+    """Keys of the options that only a stored file or only this version has.
+
+    Args:
+        path: config.yaml of a run folder, in which every option of the version has a value.
+
+    Raises:
+        SettingsError: the file is unreadable, or a value is invalid.
+    """
+    stored, known = _keys(_read(path)), _keys(as_plain(RunSettings()))
+    return (*(key for key in stored if key not in known), *(k for k in known if k not in stored))
+
+
+def _keys(content: dict[str, Any], prefix: str = "") -> list[str]:
+    """Dotted keys of all values in nested dictionaries."""
+    keys = []
+    for key, value in content.items():
+        name = f"{prefix}{key}"
+        keys += _keys(value, f"{name}.") if isinstance(value, dict) else [name]
+    return keys
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,8 +18,8 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.datasets.base import Dataset, RecordedDataset
-from toolkit.datasets.findings import is_impossible_depth, length
-from toolkit.errors import ToolkitError
+from toolkit.datasets.findings import is_impossible_depth, length, median_depths_m
+from toolkit.datasets.samples import evenly_spaced, readable
 from toolkit.frame import Frame
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.gaussians.scene import InMemoryScene
@@ -62,14 +62,12 @@ class LengthUnit:
             return None
         if not isinstance(dataset, RecordedDataset) or dataset.files(0).depth is None:
             return cls()
-        medians_m = []
-        for index in np.unique(np.linspace(0, len(dataset) - 1, _FRAMES).astype(int)):
-            try:
-                depth_m = dataset[int(index)].depth_m
-            except ToolkitError:
-                continue  # the file is named when the frame is processed
-            if depth_m.any():
-                medians_m.append(float(np.median(depth_m[depth_m > 0])))
+        return cls.of_frames(readable(dataset.__getitem__, evenly_spaced(len(dataset), _FRAMES)))
+
+    @classmethod
+    def of_frames(cls, frames: Iterable[Frame]) -> LengthUnit:
+        """The unit for a recording of which these are evenly spaced frames."""
+        medians_m = median_depths_m(frames)
         return cls._of_median(float(np.median(medians_m))) if medians_m else cls()
 
     @classmethod

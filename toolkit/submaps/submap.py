@@ -187,6 +187,8 @@ class Submap:
             IntermediateView.from_state(arrays_below(arrays, f"views/{number}/"), value)
             for number, value in enumerate(values.get("views", ()))
         ]
+        # Run folders of format 1 have the steps alone.
+        steps = arrays_below(arrays, "optimiser/") or {"steps": arrays["steps"]}
         return cls(
             number=int(values["number"]),
             T_world_submap=np.array(arrays["T_world_submap"]),
@@ -194,6 +196,6 @@ class Submap:
             keyframes=keyframes,
             seeded_by=tensor("seeded_by"),
             descriptors=np.array(arrays["descriptors"]),
-            optimiser=OptimiserState.from_state(arrays_below(arrays, "optimiser/"), device),
+            optimiser=OptimiserState.from_state(steps, device),
             views=views,
         )

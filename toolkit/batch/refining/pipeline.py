@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from toolkit.batch.refining.anchors import (
@@ -33,9 +33,8 @@ from toolkit.batch.refining.tasks import (
     register_submap_pair,
 )
 from toolkit.batch.refining.trajectory import moved_frames
-from toolkit.errors import RunFolderError
 from toolkit.io import storage
-from toolkit.runs.lock import LOCK
+from toolkit.runs.new_folder import NewFolder
 
 _log = logging.getLogger(__name__)
 
@@ -76,17 +75,21 @@ def refine_map(
         ToolkitError: there is no finished run, its map cannot be refined, or `out` is in use.
     """
     source, frames = open_stored_map(place)
-    if set(storage.names_in(out)) - {LOCK}:
-        raise RunFolderError(f"{out} is not an empty folder; choose another --out")
     rounds = source.settings.mapping.final_iterations if iterations is None else iterations
+    folder = NewFolder(out, "refine", (place, out, threads, rounds))
+    again = folder.begin()
     try:
-        work = Work(store_decoder(source, out), out, threads, rounds)
+        work = Work(source, out, threads, rounds)
+        storage.remove_folder(work.scratch)
+        work = replace(work, source=store_decoder(source, out))
         refined = _refine(work, frames, tasks)
     except BaseException:
-        # Half a map is of no use, and would be in the way of the next attempt.
-        storage.remove_folder(out)
+        # Half a map is of no use. In a folder of an earlier attempt there may be other files.
+        if not again:
+            storage.remove_folder(out)
         raise
     storage.remove_folder(work.scratch)
+    folder.complete()
     return refined
 
 

@@ -19,7 +19,8 @@ from toolkit.io.arrays import arrays_below
 from toolkit.io.guarded.documents import parse_json
 from toolkit.io.splats import is_splat_file
 from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
-from toolkit.runs.settings import RunSettings, load_settings
+from toolkit.runs.formats import folder_version
+from toolkit.runs.settings import RunSettings, load_stored_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.length_unit import LengthUnit
@@ -27,6 +28,8 @@ from toolkit.submaps.submap import Submap
 
 Array = NDArray[np.float64]
 
+# Groups of settings that the refinement uses.
+_USED_SETTINGS = ("backend", "loops", "mapping", "registration", "seed", "semantics", "submaps")
 # Number and version of a submap, as in `SubmapStore`.
 _SUBMAP = re.compile(r"(\d{4,})_(\d+)")
 
@@ -105,11 +108,12 @@ def open_stored_map(place: str) -> tuple[StoredMap, dict[str, Any]]:
         )
     with TemporaryDirectory() as folder:
         config = _fetched(place, "config.yaml", folder)
-        settings = load_settings(config)
+        settings, ignored = load_stored_settings(config)
         taxonomy = None
         if storage.names_in(storage.join(place, "semantics")):
             taxonomy = Taxonomy.load(_fetched(place, "taxonomy.yaml", folder))
     frames = read_json(storage.join(place, "frames.json"))
+    _check_version(place, frames, ignored)
     unit = _unit(place, frames)
     anchors = {number: unit.pose(T) for number, T in _anchors(place, frames).items()}
     versions = _versions(place)
@@ -133,6 +137,15 @@ def read_json(place: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise FormatError(f"{place} does not contain a dictionary; run again")
     return content
+
+
+def _check_version(place: str, frames: dict[str, Any], ignored: tuple[str, ...]) -> None:
+    try:
+        version = folder_version(frames, ignored)
+    except (TypeError, ValueError) as error:
+        raise FormatError(f"{place}/frames.json is damaged ({error!r}); run again") from error
+    remedy = f"run --map {place}/map.ply to extend its map"
+    version.require_settings(place, _USED_SETTINGS, "refined", remedy)
 
 
 def _check_refinable(place: str, settings: RunSettings, taxonomy: Taxonomy | None) -> None:

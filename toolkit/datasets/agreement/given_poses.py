@@ -7,8 +7,7 @@ images do not.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,8 +20,6 @@ from toolkit.geometry import se3
 from toolkit.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
-# The pose [4, 4] at a time, None outside of the poses.
-PoseAt = Callable[[float], Array | None]
 
 # Delays that are tried, in intervals of the frames, and their upper limit in seconds.
 _DELAYS, _MAX_DELAY_S = np.arange(-12.0, 12.5, 0.5), 0.5
@@ -60,16 +57,16 @@ def judge_given(pairs: Sequence[FramePair], times_s: Array, given: Trajectory) -
         times_s: [N] times of all frames.
         given: poses by these times.
     """
-    own = [_Motion(pair, times_s) for pair in pairs]
-    if len(own) < _MIN_PAIRS or len({motion.anchor for motion in own}) < _MIN_ANCHORS:
+    if not _are_enough(np.array([pair.first for pair in pairs])):
         return PoseAgreement()
+    own = _Motions(pairs, times_s)
     interval_s = float(np.median(np.diff(times_s)))
     delays_s = _DELAYS * interval_s
     delays_s = delays_s[np.abs(delays_s) <= _MAX_DELAY_S]
-    pose_at = functools.cache(given.interpolated)
-    errors = np.array([_errors(own, pose_at, float(delay_s)) for delay_s in delays_s])
-    delay_s = _certain_delay(errors, delays_s, np.array([m.anchor for m in own]), interval_s)
-    return PoseAgreement(delay_s, _certain_factor(own, pose_at, delay_s))
+    delayed = own.given(given, delays_s)
+    errors = np.array([own.errors(motions) for motions in delayed])
+    best = _certain_delay(errors, delays_s, own.anchors, interval_s)
+    return PoseAgreement(float(delays_s[best]), _certain_factor(own, delayed[best]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,69 +124,71 @@ def _sizes(step: Array) -> Array:
     return np.array([np.linalg.norm(step[:3]), np.linalg.norm(step[3:])])
 
 
-class _Motion:
-    """The motion between two frames by images, and by given poses."""
+class _Motions:
+    """The motions between pairs of frames by images, and by given poses.
 
-    def __init__(self, pair: FramePair, times_s: Array) -> None:
-        self.anchor = pair.first
-        self._T = pair.pose.T_second_first
-        self._times_s = float(times_s[pair.first]), float(times_s[pair.second])
-        self._depth_m = pair.depth_m
+    Attributes:
+        anchors: [P] first frames. translations: [P, 3] by images.
+    """
 
-    def given(self, pose_at: PoseAt, delay_s: float) -> Array | None:
-        """T_second_first [4, 4] by the poses a time later; None without poses there."""
-        first, second = (pose_at(t + delay_s) for t in self._times_s)
-        return None if first is None or second is None else se3.inverse(second) @ first
+    def __init__(self, pairs: Sequence[FramePair], times_s: Array) -> None:
+        self.anchors = np.array([pair.first for pair in pairs])
+        self._T = np.array([pair.pose.T_second_first for pair in pairs])
+        self.translations = self._T[:, :3, 3]
+        self._times_s = times_s[np.array([(pair.first, pair.second) for pair in pairs])]
+        self._depths_m = np.array([pair.depth_m for pair in pairs])
 
-    def translations(self, pose_at: PoseAt, delay_s: float) -> tuple[Array, Array] | None:
-        """Translations [3] by images and by poses."""
-        T = self.given(pose_at, delay_s)
-        return None if T is None else (self._T[:3, 3], T[:3, 3])
+    def given(self, poses: Trajectory, delays_s: Array) -> Array:
+        """T_second_first [D, P, 4, 4] by the poses at delays [D]; NaN without poses there."""
+        times_s = self._times_s + delays_s[:, None, None]
+        both = poses.interpolated(times_s.ravel()).reshape(*times_s.shape, 4, 4)
+        return np.asarray(se3.inverse(both[:, :, 1]) @ both[:, :, 0])
 
-    def error(self, pose_at: PoseAt, delay_s: float, factor: float) -> float:
-        """Size of the difference in radians, at the depth of the scene; NaN without poses."""
-        T = self.given(pose_at, delay_s)
-        if T is None:
-            return float("nan")
-        own = self._T.copy()
-        own[:3, 3] *= factor
-        metres, radians = _sizes(se3.log(se3.inverse(own) @ T))
-        return float(np.hypot(metres / self._depth_m, radians))
+    def errors(self, given: Array) -> Array:
+        """Differences [P] from given motions [P, 4, 4], whatever the unit of depth is.
+
+        They are in radians, at the depth of the scene; NaN where no motion is given.
+        """
+        known, errors = ~np.isnan(given[:, 0, 3]), np.full(len(given), np.nan)
+        if known.any():
+            own = self._T[known]
+            own[:, :3, 3] *= _factor(own[:, :3, 3], given[known, :3, 3])
+            apart = se3.inverse(own) @ given[known]
+            metres = np.linalg.norm(apart[:, :3, 3], axis=1)
+            angles_rad = se3.rotation_angle_rad(apart[:, :3, :3])
+            errors[known] = np.hypot(metres / self._depths_m[known], angles_rad)
+        return errors
 
 
-def _errors(own: Sequence[_Motion], pose_at: PoseAt, delay_s: float) -> list[float]:
-    """Errors [P] of the motions at a delay, whatever the unit of depth is."""
-    found = [t for motion in own if (t := motion.translations(pose_at, delay_s)) is not None]
-    factor = _factor(*(np.array([t[k] for t in found]) for k in (0, 1))) if found else 1.0
-    return [motion.error(pose_at, delay_s, factor) for motion in own]
+def _are_enough(anchors: NDArray[np.int64]) -> bool:
+    """Whether pairs that begin at these frames tell anything."""
+    return len(anchors) >= _MIN_PAIRS and len(set(anchors.tolist())) >= _MIN_ANCHORS
 
 
-def _certain_delay(errors: Array, delays_s: Array, anchors: NDArray, interval_s: float) -> float:
-    """The delay that explains errors [D, P]; 0 if none does."""
+def _certain_delay(errors: Array, delays_s: Array, anchors: NDArray, interval_s: float) -> int:
+    """The number of the delay [D] that explains errors [D, P]; that of 0 if none does."""
+    none = int(np.argmin(np.abs(delays_s)))
     known = ~np.isnan(errors).any(axis=0)
     errors, anchors = errors[:, known], anchors[known]
-    if len(anchors) < _MIN_PAIRS or len(set(anchors)) < _MIN_ANCHORS:
-        return 0.0
+    if not _are_enough(anchors):
+        return none
     costs = _trimmed_means(errors)
     best = int(np.argmin(costs))
-    if costs[best] > _EXPLAINED * costs[np.argmin(np.abs(delays_s))]:
-        return 0.0
-    delay_s = float(delays_s[best])
+    if costs[best] > _EXPLAINED * costs[none]:
+        return none
     others = [
         delays_s[np.argmin(_trimmed_means(errors[:, anchors != anchor]))] for anchor in set(anchors)
     ]
-    certain = np.abs(np.array(others) - delay_s).max() <= _SAME_DELAY * interval_s
-    return delay_s if certain else 0.0
+    certain = np.abs(np.array(others) - delays_s[best]).max() <= _SAME_DELAY * interval_s
+    return best if certain else none
 
 
-def _certain_factor(own: Sequence[_Motion], pose_at: PoseAt, delay_s: float) -> float:
-    """The factor of depth that explains the translations; 1 if none does."""
-    found = [(m, m.translations(pose_at, delay_s)) for m in own]
-    known = [(m, t) for m, t in found if t is not None]
-    if len(known) < _MIN_PAIRS:
+def _certain_factor(own: _Motions, given: Array) -> float:
+    """The factor of depth that explains the translations of motions [P, 4, 4]; 1 if none does."""
+    known = ~np.isnan(given[:, 0, 3])
+    if known.sum() < _MIN_PAIRS:
         return 1.0
-    seen, stated = (np.array([t[k] for _, t in known]) for k in (0, 1))
-    anchors = np.array([m.anchor for m, _ in known])
+    seen, stated, anchors = own.translations[known], given[known, :3, 3], own.anchors[known]
     # Noise of the translations by images, and of the given ones, brings one of these factors each
     # towards zero: the right one is between them. A camera that hardly moves has a wide range.
     by_seen, by_stated = _factor(seen, stated), _factor(stated, seen)

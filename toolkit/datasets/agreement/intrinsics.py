@@ -8,13 +8,14 @@ one coefficient of radial distortion.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.agreement.lens import derivatives, distorted, undistorted
 from toolkit.datasets.agreement.pairs import FramePair
 from toolkit.datasets.jackknife import jackknife_sigmas
 from toolkit.datasets.shutter.alignment import RelativePose
@@ -56,12 +57,13 @@ class IntrinsicsEstimate:
         sigmas: [4] their standard deviations, by the estimates without each pair of frames and
             without each quarter of the image: objects that move, and errors of depth, are in parts
             of it.
-        gain: factor by which they lower the noise that remains, median over pairs of frames.
+        gain: factor by which they lower the noise that remains, median over pairs of frames; it is
+            not computed for values that would not be noted.
     """
 
     values: Array
     sigmas: Array
-    gain: float
+    gain: float = float("inf")
 
     @property
     def noted(self) -> NDArray[np.bool_]:
@@ -113,14 +115,19 @@ def estimate_intrinsics(pairs: Sequence[FramePair]) -> IntrinsicsEstimate | None
         pairs: only the farthest of those with the same first frame is used: noise and wrong
             registration of depth weigh least where the motion is large.
     """
-    farthest = [_Pair(pair) for pair in {pair.first: pair for pair in pairs}.values()]
-    # The second time, the poses start at those of the stated intrinsics.
-    stated, found = (_aligned(farthest, free) for free in (False, True))
-    if stated is None or found is None:
+    farthest = {pair.first: pair for pair in pairs}.values()
+    found = _aligned(farthest, free=True)
+    if found is None:
+        return None
+    estimate = IntrinsicsEstimate(found.values, found.sigmas)
+    if not estimate.noted.any():
+        return estimate
+    stated = _aligned(farthest, free=False)
+    if stated is None:
         return None
     both = stated.noises.keys() & found.noises.keys()
     gains = [stated.noises[first] / found.noises[first] for first in both]
-    return IntrinsicsEstimate(found.values, found.sigmas, float(np.median(gains or [0.0])))
+    return replace(estimate, gain=float(np.median(gains or [0.0])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,12 +139,13 @@ class _Aligned:
     noises: dict[int, float]
 
 
-def _aligned(pairs: Sequence[_Pair], free: bool) -> _Aligned | None:
-    """Align pairs at the stated intrinsics, or together with free ones.
+def _aligned(frames: Iterable[FramePair], free: bool) -> _Aligned | None:
+    """Align pairs of frames at the stated intrinsics, or together with free ones.
 
     Returns:
         None with too few pairs, or if the intrinsics do not converge.
     """
+    pairs = [_Pair(pair) for pair in frames]
     values, size = np.zeros(4), 0.0
     for _ in range(_ITERATIONS):
         used = [pair for pair in pairs if pair.linearise(values)]
@@ -184,74 +192,76 @@ class _Pair:
 
     def __init__(self, pair: FramePair) -> None:
         self.pose, self.noise, self.frames = pair.pose, 0.0, (pair.first, pair.second)
-        self._a, self._b = pair.levels
-        camera, points = self._a.camera, self._a.samples
-        # Pixels of the samples in focal lengths from the stated principal point.
-        self._pixels = points[:, :2] / points[:, 2:]
-        self._depths_m = points[:, 2]
-        assert camera.size == self._b.camera.size
-        right, low = (self._pixels > 0.0).T
-        self._quarter = 2 * low + right
+        first, second = pair.levels
+        assert first.camera.size == second.camera.size
+        self._camera = second.camera
+        # Pixels of the samples in focal lengths from the stated principal point, by quarters.
+        x, y = (first.samples[:, :2] / first.samples[:, 2:]).T
+        quarter = 2 * (y > 0.0) + (x > 0.0)
+        order = np.argsort(quarter, kind="stable")
+        self._pixels = np.stack([x, y])[:, order]
+        self._depths_m = first.samples[order, 2]
+        self._intensity, self._quarter = first.sample_intensity[order], quarter[order]
+        depth_m = second.points[..., 2:]
+        # The second frame: intensity, its slope and depth; depth and normals.
+        self._smooth = np.concatenate(
+            [second.intensity[..., None], second.gradients, depth_m], axis=-1
+        )
+        self._surface = np.concatenate([depth_m, second.normals], axis=-1)
         self._H = np.zeros((_QUARTERS, _UNKNOWNS, _UNKNOWNS))
         self._g = np.zeros((_QUARTERS, _UNKNOWNS))
 
     def linearise(self, values: Array) -> bool:
         """Compute the equations at these intrinsics; False with too few corresponding pixels."""
-        a, b, camera = self._a, self._b, self._b.camera
-        ray, ray_by_shared = _undistorted(self._pixels, values)
-        z = self._depths_m[:, None]
-        T = self.pose.T_second_first
-        points = np.concatenate([ray * z, z], axis=1) @ T[:3, :3].T + T[:3, 3]
-        by_shared = np.einsum("ij,njk->nik", T[:3, :2], ray_by_shared) * z[..., None]
-        z = np.maximum(points[:, 2], 1e-3)
-        seen = points[:, :2] / z[:, None]
-        pixels, by_seen, own_by_shared = _distorted(seen, values)
-        u = (camera.fx * pixels[:, 0] + camera.cx).astype(np.float32)[:, None]
-        v = (camera.fy * pixels[:, 1] + camera.cy).astype(np.float32)[:, None]
-        known = (points[:, 2] > 0) & (u[:, 0] >= 1) & (u[:, 0] < camera.width - 2)
-        known &= (v[:, 0] >= 1) & (v[:, 0] < camera.height - 2)
-        depth = cv2.remap(b.points[..., 2], u, v, cv2.INTER_LINEAR)[:, 0]
-        nearest = cv2.remap(b.points[..., 2], u, v, cv2.INTER_NEAREST)[:, 0]
-        normals = cv2.remap(b.normals, u, v, cv2.INTER_NEAREST)[:, 0].astype(np.float64)
-        known &= (nearest > 0) & (np.abs(depth - nearest) < _SURFACE * nearest)
-        known &= (normals[:, 2] != 0) & (np.abs(depth - z) < _MAX_DISTANCE * z)
+        camera, T = self._camera, self.pose.T_second_first
+        rays = undistorted(self._pixels, values)
+        points = (T[:3, :2] @ rays + T[:3, 2:3]) * self._depths_m + T[:3, 3:]
+        z = np.maximum(points[2], 1e-3)
+        pixels = distorted(points[:2] / z, values)
+        u = (camera.fx * pixels[0] + camera.cx).astype(np.float32)
+        v = (camera.fy * pixels[1] + camera.cy).astype(np.float32)
+        depth, *normal = _remapped(self._surface, u, v, cv2.INTER_NEAREST)
+        intensity, slope_u, slope_v, between = _remapped(self._smooth, u, v, cv2.INTER_LINEAR)
+        known = (points[2] > 0) & (u >= 1) & (u < camera.width - 2)
+        known &= (v >= 1) & (v < camera.height - 2)
+        known &= (depth > 0) & (np.abs(between - depth) < _SURFACE * depth)
+        known &= (normal[2] != 0) & (np.abs(between - z) < _MAX_DISTANCE * z)
         if known.sum() < _MIN_PIXELS:
             return False
-        # Derivatives of the point in the second camera, and of the pixel where it is seen.
-        by_own = np.zeros((len(points), 3, 8))
-        by_own[:, :, :3] = np.eye(3)
-        by_own[:, :, 3:6] = -_hats(points)
-        point_by = np.concatenate([by_own, by_shared], axis=2)
-        seen_by = (point_by[:, :2] - seen[..., None] * point_by[:, 2:]) / z[:, None, None]
-        pixel_by = np.einsum("nij,njk->nik", by_seen, seen_by)
-        pixel_by[:, :, _SHARED] += own_by_shared
-        focal = np.array([camera.fx, camera.fy])
-        intensity = cv2.remap(b.intensity, u, v, cv2.INTER_LINEAR)[:, 0].astype(np.float64)
-        slope = cv2.remap(b.gradients, u, v, cv2.INTER_LINEAR)[:, 0] * focal
+        by_rays = T[:3, :2, None] * self._depths_m[known]
+        seen = rays[:, known], points[:, known], by_rays, values
         gain, bias = self.pose.exposure
-        colour = (1.0 + gain) * intensity + bias - a.sample_intensity
-        J_colour = (1.0 + gain) * np.einsum("ni,nik->nk", slope, pixel_by)
-        J_colour[:, 6], J_colour[:, 7] = intensity, 1.0
+        intensity = intensity[known]
+        slope = (1.0 + gain) * np.stack([camera.fx * slope_u[known], camera.fy * slope_v[known]])
+        colour = (1.0 + gain) * intensity + bias - self._intensity[known]
+        J_colour = derivatives(*seen, slope, 0.0)
+        J_colour[6], J_colour[7] = intensity, 1.0
         # Distance along the ray from the tangent plane, whose depth changes with the pixel, in
         # units of the sensor's noise at a depth of 1 m.
-        weight = np.abs(normals[:, 2]) / z**2
-        normals = np.where(known[:, None], normals, (0.0, 0.0, 1.0))
-        tilt = normals[:, :2] / normals[:, 2:]
-        depth_slope = -tilt * (depth / (1.0 + (tilt * seen).sum(axis=1)))[:, None]
-        surface = (z - depth) * weight
-        J_surface = point_by[:, 2] - np.einsum("ni,nik->nk", depth_slope, pixel_by)
-        J_surface *= weight[:, None]
+        x, y, z = points[:, known]
+        n_x, n_y, n_z = (component[known] for component in normal)
+        weight, depth = np.abs(n_z) / z**2, between[known]
+        tilt = np.stack([n_x, n_y]) / n_z
+        tilt *= depth / (1.0 + (tilt[0] * x + tilt[1] * y) / z)
+        J_surface = weight * derivatives(*seen, tilt, 1.0)
+        self._accumulate(known, ((colour, J_colour), ((z - depth) * weight, J_surface)))
+        return True
+
+    def _accumulate(
+        self, known: NDArray[np.bool_], residuals: Sequence[tuple[Array, Array]]
+    ) -> None:
+        """Set the equations of the quarters from residuals [M] and their derivatives [12, M]."""
         self._H[:], self._g[:] = _RIDGE / _QUARTERS * np.eye(_UNKNOWNS), 0.0
         self.noise = 1.0
-        quarters = [self._quarter[known] == n for n in range(_QUARTERS)]
-        for r, J in ((colour[known], J_colour[known]), (surface[known], J_surface[known])):
+        ends = np.searchsorted(self._quarter[known], np.arange(_QUARTERS + 1))
+        for r, J in residuals:
             sigma = 1.4826 * float(np.median(np.abs(r))) + 1e-6
             self.noise *= sigma
-            weighted = J / (sigma**2 * (1.0 + (r / (_HALF_WEIGHT * sigma)) ** 2))[:, None]
-            for n, quarter in enumerate(quarters):
-                self._H[n] += J[quarter].T @ weighted[quarter]
-                self._g[n] += weighted[quarter].T @ r[quarter]
-        return True
+            weighted = J / (sigma**2 * (1.0 + (r / (_HALF_WEIGHT * sigma)) ** 2))
+            for n in range(_QUARTERS):
+                own = slice(ends[n], ends[n + 1])
+                self._H[n] += J[:, own] @ weighted[:, own].T
+                self._g[n] += weighted[:, own] @ r[own]
 
     def reduced(self, without: int | None = None) -> tuple[Array, Array]:
         """Equations [4, 4] and [4] of the intrinsics, pose and exposure eliminated.
@@ -279,37 +289,6 @@ class _Pair:
         return float(np.abs(own).max())
 
 
-def _distorted(seen: Array, values: Array) -> tuple[Array, Array, Array]:
-    """Pixels [N, 2] in stated focal lengths, of points [N, 2] on the plane at depth 1.
-
-    Returns:
-        Also their derivatives by the points [N, 2, 2] and by the intrinsics [N, 2, 4].
-    """
-    scale, k1 = np.exp(values[0]), values[3]
-    squared = (seen**2).sum(axis=1)[:, None]
-    bent = scale * (1.0 + k1 * squared) * seen
-    by_seen = scale * (1.0 + k1 * squared)[..., None] * np.eye(2)
-    by_seen = by_seen + 2.0 * scale * k1 * seen[:, :, None] * seen[:, None, :]
-    by_values = np.zeros((len(seen), 2, 4))
-    by_values[:, :, 0] = bent
-    by_values[:, 0, 1] = by_values[:, 1, 2] = 1.0
-    by_values[:, :, 3] = scale * squared * seen
-    return bent + values[1:3], by_seen, by_values
-
-
-def _undistorted(pixels: Array, values: Array) -> tuple[Array, Array]:
-    """Points [N, 2] of pixels [N, 2], see `_distorted`, and derivatives [N, 2, 4]."""
-    bent = (pixels - values[1:3]) / np.exp(values[0])
-    seen = bent
-    for _ in range(4):
-        seen = bent / (1.0 + values[3] * (seen**2).sum(axis=1)[:, None])
-    _, by_seen, by_values = _distorted(seen, values)
-    return seen, -np.asarray(np.linalg.solve(by_seen, by_values), np.float64)
-
-
-def _hats(points: Array) -> Array:
-    """Matrices [N, 3, 3] of the cross products with points [N, 3]."""
-    x, y, z = points.T
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.moveaxis(np.array(rows), 2, 0)
+def _remapped(image: NDArray[np.float32], u: Array, v: Array, method: int) -> Array:
+    """Values [C, N] of an image [H, W, C] at pixels [N]."""
+    return np.asarray(cv2.remap(image, u[None], v[None], method)[0].T, np.float64)

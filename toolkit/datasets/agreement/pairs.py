@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.datasets.base import RecordedDataset
-from toolkit.datasets.prefetch import read_ahead
+from toolkit.datasets.samples import GAPS, SmallFrames
 from toolkit.datasets.shutter.alignment import MovingView, RelativePose, ShutterTimes, align
 from toolkit.datasets.shutter.levels import ShutterLevel, shutter_levels
-from toolkit.errors import ToolkitError
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int32]
 
-_WIDTH = 160
-# Frames that later ones are aligned to, and by how many frames these are later. Each alignment
-# starts at the motion of the one before.
-_ANCHORS, _GAPS = 8, (1, 3, 8, 20)
 # Minimum part of the first frame that the second one must show.
 _MIN_SHARED, _MAX_DISTANCE = 0.5, 0.08
 
@@ -49,47 +42,31 @@ class FramePair:
         return float(np.median(self.levels[0].samples[:, 2]))
 
 
-def aligned_pairs(dataset: RecordedDataset) -> list[FramePair]:
+def aligned_pairs(frames: SmallFrames) -> list[FramePair]:
     """Evenly spaced frames, each with up to four later ones that can be aligned to it."""
-    small = _small(dataset)
-    last = max(len(dataset) - 1 - max(_GAPS), 0)
-    anchors = np.unique(np.linspace(0, last, _ANCHORS).astype(int)).tolist()
-    # Frames are read while those before are aligned.
-    read = read_ahead(lambda anchor: _read(small, anchor, _GAPS), anchors, ahead=1)
-    found = (_later(n, _GAPS, frames) for n, frames in zip(anchors, read, strict=True))
-    return list(itertools.chain.from_iterable(found))
+    return [pair for anchor in frames.anchors(GAPS[-1]) for pair in _later(frames, anchor, GAPS)]
 
 
-def aligned_pair(dataset: RecordedDataset, index: int) -> FramePair | None:
+def aligned_pair(frames: SmallFrames, index: int) -> FramePair | None:
     """A frame and the next one; None if they cannot be aligned."""
-    return next(_later(index, (1,), _read(_small(dataset), index, (1,))), None)
+    return next(_later(frames, index, (1,)), None)
 
 
-def _small(dataset: RecordedDataset) -> RecordedDataset:
-    """The frames of a dataset, as small as is enough for their motion."""
-    recording = dataset.recording
-    return RecordedDataset(recording, recording.camera.size_up_to(_WIDTH), len(dataset))
-
-
-def _read(dataset: RecordedDataset, anchor: int, gaps: Sequence[int]) -> list[_SmallFrame | None]:
-    """A frame and later ones."""
-    return [_small_frame(dataset, anchor + gap) for gap in (0, *gaps)]
-
-
-def _later(
-    anchor: int, gaps: Sequence[int], frames: Sequence[_SmallFrame | None]
-) -> Iterator[FramePair]:
-    """Align the second and further frames to the first one, until that fails."""
-    first, *others = frames
-    pose = RelativePose(np.eye(4))
-    for gap, second in zip(gaps, others, strict=True):
-        if first is None or second is None:
+def _later(frames: SmallFrames, anchor: int, gaps: Sequence[int]) -> Iterator[FramePair]:
+    """Align later frames to one, until that fails; each starts at the motion of the one before."""
+    first = frames.get(anchor)
+    if first is None:
+        return
+    here, pose = MovingView(shutter_levels(first), np.zeros(6)), RelativePose(np.eye(4))
+    for gap in gaps:
+        second = frames.get(anchor + gap)
+        if second is None:
             return
-        here, there = (MovingView(frame.levels, np.zeros(6)) for frame in (first, second))
+        there = MovingView(shutter_levels(second), np.zeros(6))
         found = align(here, there, pose, ShutterTimes(), coarse=True)
         if found is None:
             return
-        a, b = first.levels[0], second.levels[0]
+        a, b = here.levels[0], there.levels[0]
         if samples_in_second(a, b, found.T_second_first, _MAX_DISTANCE).seen.mean() < _MIN_SHARED:
             return
         pose = found
@@ -131,22 +108,3 @@ def samples_in_second(
     u, v = np.where(inside, u, 0), np.where(inside, v, 0)
     seen = inside & (np.abs(second.points[v, u, 2] - z) < max_distance * z)
     return SeenSamples(seen, v, u)
-
-
-@dataclass(frozen=True, eq=False)
-class _SmallFrame:
-    """Small images of a frame, and its labels at the size of the first one."""
-
-    levels: tuple[ShutterLevel, ShutterLevel]
-    labels: Labels | None
-
-
-def _small_frame(dataset: RecordedDataset, index: int) -> _SmallFrame | None:
-    """A frame; None if there is none, or if it cannot be read."""
-    if index >= len(dataset):
-        return None
-    try:
-        frame = dataset[index]
-    except ToolkitError:
-        return None  # reported when the frame is processed
-    return _SmallFrame(shutter_levels(frame), frame.labels)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from toolkit.datasets.agreement.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from toolkit.datasets.agreement.pairs import aligned_pairs
 from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.samples import SmallFrames
 from toolkit.geometry.camera import Camera
 
 # Pairs of frames are aligned again with intrinsics that are far from the stated ones.
@@ -22,7 +23,8 @@ def with_refined_intrinsics(recording: Recording, max_frames: int | None = None)
     """
     refined = recording
     for _ in range(_ROUNDS):
-        found = estimate_intrinsics(aligned_pairs(RecordedDataset(refined, max_frames=max_frames)))
+        frames = SmallFrames(RecordedDataset(refined, max_frames=max_frames))
+        found = estimate_intrinsics(aligned_pairs(frames))
         if found is None or not found.noted.any():
             break
         refined = _applied(found, refined)

@@ -79,8 +79,8 @@ def _level(camera: Camera, intensity: Image, depth_m: Image, seed: int) -> Shutt
     )
     x = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
     y = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)
-    points = np.stack([x * depth_m, y[:, None] * depth_m, depth_m], axis=-1)
-    normals = _normals(points)
+    axes = x * depth_m, y[:, None] * depth_m, depth_m
+    points, normals = np.stack(axes, axis=-1), _normals(*axes)
     chosen = np.flatnonzero(normals[..., 2])
     if len(chosen) > _MAX_SAMPLES:
         random = np.random.default_rng(seed)
@@ -98,21 +98,28 @@ def _level(camera: Camera, intensity: Image, depth_m: Image, seed: int) -> Shutt
     )
 
 
-def _normals(points: Image) -> Image:
-    """Normals [H, W, 3] of the surface, 0 at its edges and where it is strongly curved."""
-    r, depth = _REACH, points[..., 2]
+def _normals(x: Image, y: Image, z: Image) -> Image:
+    """Normals [H, W, 3] of the surface, 0 at its edges and where it is strongly curved.
+
+    Args:
+        x, y, z: [H, W] coordinates of its points.
+    """
+    r = _REACH
     inner = (slice(r, -r), slice(r, -r))
     left, right = (slice(r, -r), slice(None, -2 * r)), (slice(r, -r), slice(2 * r, None))
     above, below = (slice(None, -2 * r), slice(r, -r)), (slice(2 * r, None), slice(r, -r))
-    centre = depth[inner]
+    centre = z[inner]
     smooth = centre > 0
     for before, after in ((left, right), (above, below)):
-        a, b = depth[before], depth[after]
+        a, b = z[before], z[after]
         smooth &= (a > 0) & (b > 0) & (np.abs(a - b) < _MAX_STEP * centre)
         smooth &= np.abs(a + b - 2.0 * centre) < _MAX_BEND * centre
-    crossed = np.cross(points[right] - points[left], points[below] - points[above])
-    length = np.linalg.norm(crossed, axis=-1)
-    smooth &= length > 0
-    normals = np.zeros_like(points)
-    normals[inner][smooth] = crossed[smooth] / length[smooth, None]
+    (a, b, c), (d, e, f) = (
+        [(axis[after] - axis[before])[smooth] for axis in (x, y, z)]
+        for before, after in ((left, right), (above, below))
+    )
+    crossed = np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=-1)
+    length = np.linalg.norm(crossed, axis=-1, keepdims=True)
+    normals = np.zeros((*z.shape, 3), np.float32)
+    normals[inner][smooth] = np.divide(crossed, length, out=crossed, where=length > 0)
     return normals

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from toolkit.datasets.base import RecordedDataset, Recording
+from toolkit.datasets.samples import SMALL_WIDTH
 from toolkit.datasets.shutter.estimate import ShutterEstimate, estimate_shutter
-
-# Rows move by fractions of a pixel of this image width, which are averaged over thousands of them.
-_WIDTH = 160
 
 
 def estimate_readout(recording: Recording, max_frames: int | None = None) -> ShutterEstimate:
@@ -25,7 +23,8 @@ def estimate_readout(recording: Recording, max_frames: int | None = None) -> Shu
         return ShutterEstimate(fault="there are frames without depth")
     # With a readout of one second, that of the frames is the share of rows that are not cropped.
     known = replace(recording, readout_s=1.0)
-    frames = RecordedDataset(known, known.camera.size_up_to(_WIDTH), max_frames)
+    # Rows move by fractions of a pixel of this size, which are averaged over thousands of them.
+    frames = RecordedDataset(known, known.camera.size_up_to(SMALL_WIDTH), max_frames)
     found = estimate_shutter(frames)
     return replace(
         found,

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 # Number of cells across the image, and minimum number of frames that show planes.
 _COLUMNS, _MIN_FRAMES = 80, 4
+_POINTS = 1200
 # Cosine of the maximum tilt of surfaces that face up or down.
 _LEVEL = np.cos(np.radians(20.0))
 # The score is the weighted balance of surfaces that face up and down, minus the deviations of pitch
@@ -98,7 +99,7 @@ def judge_side(frames: Iterable[Frame]) -> SideJudgement:
     rows: dict[ImageSide, list[tuple[float, float, float, float]]] = {s: [] for s in BORDERS}
     for frame in frames:
         grid = surface_grid(frame.depth_m, frame.camera, _COLUMNS)
-        patches = planar_patches(grid)
+        patches = planar_patches(grid, _POINTS)
         if not patches:
             continue
         normals = np.array([p.normal for p in patches])

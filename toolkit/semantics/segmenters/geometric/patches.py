@@ -41,21 +41,24 @@ class PlanarPatch:
     cells: NDArray[np.bool_]
 
 
-def planar_patches(grid: SurfaceGrid) -> list[PlanarPatch]:
+def planar_patches(grid: SurfaceGrid, points: int = _POINTS) -> list[PlanarPatch]:
     """Detect the planar patches of a grid with Open3D (Araujo and Oliveira 2020).
+
+    Args:
+        points: approximate number of cells in which they are detected.
 
     Raises:
         DependencyError: Open3D cannot be loaded.
     """
-    stride = max(1, round((grid.valid.size / _POINTS) ** 0.5))
+    stride = max(1, round((grid.valid.size / points) ** 0.5))
     chosen = grid.oriented[::stride, ::stride]
     if chosen.sum() < _MIN_POINTS:
         return []
     o3d = open3d()
     cloud = o3d.geometry.PointCloud()
-    points = _perturbed(grid.points[::stride, ::stride][chosen].astype(np.float64))
+    places = _perturbed(grid.points[::stride, ::stride][chosen].astype(np.float64))
     normals = grid.normals[::stride, ::stride][chosen].astype(np.float64)
-    cloud.points = o3d.utility.Vector3dVector(points)
+    cloud.points = o3d.utility.Vector3dVector(places)
     cloud.normals = o3d.utility.Vector3dVector(normals)
     boxes = cloud.detect_planar_patches(
         normal_variance_threshold_deg=60,

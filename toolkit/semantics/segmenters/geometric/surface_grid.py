@@ -112,7 +112,9 @@ def _reduced(
     fraction = _block_mean(measured.astype(np.float32), block)
     valid = fraction >= _MIN_BLOCK
     mean = _block_mean(inverse, block) / np.maximum(fraction, 1e-6)
-    nearest = inverse.reshape(height, block, width, block).max(axis=(1, 3))
+    # One axis after the other, which is faster.
+    rows = inverse.reshape(height, block, width * block).max(axis=1)
+    nearest = rows.reshape(height, width, block).max(axis=2)
     step = nearest - mean > 0.5 * _STEP * mean
     return np.where(valid, np.where(step, nearest, mean), 0).astype(np.float32), valid
 
