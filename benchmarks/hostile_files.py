@@ -27,6 +27,7 @@ import tyro
 from benchmarks.earlier_commit import earlier_tree
 from benchmarks.hostile_samples import AREAS, SAMPLES, Sample
 from benchmarks.hostile_worker import MAX_BYTES, MAX_S, message_fault
+from benchmarks.programs import semsplat_of
 from benchmarks.report import Report, ReportOptions
 from benchmarks.repository import ROOT
 from benchmarks.tables import Metrics, Table
@@ -170,19 +171,11 @@ def _by_command(tree: Path, name: str, sample: Sample) -> list[Metrics]:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         sample.write(folder)
-        patterns = sample.files if sample.files != ("*",) else ("*",)
-        files = [path for each in patterns for path in folder.rglob(each) if path.is_file()]
+        files = [path for each in sample.files for path in folder.rglob(each) if path.is_file()]
         largest = max(files, key=lambda path: (path.stat().st_size, path.name))
         largest.write_bytes(bytes(1000))
         words = [word.replace("FOLDER", str(folder)) for word in sample.command]
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "toolkit.cli.main", *words],
-            cwd=tree,
-            env={**os.environ, "PYTHONPATH": str(tree)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = semsplat_of(tree, *words)
         names = [largest.name, largest.parent.name, folder.name]
         lines = (done.stdout + done.stderr).strip().splitlines() or [""]
         # Jobs that list faults end with their number.

@@ -8,9 +8,6 @@ folder.
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,6 +18,7 @@ import tyro
 
 from benchmarks.earlier_commit import earlier_tree
 from benchmarks.input_kinds import FRAMES, KINDS, Kind, write_room
+from benchmarks.programs import semsplat_of
 from benchmarks.report import Report, ReportOptions
 from benchmarks.repository import ROOT
 from benchmarks.tables import Metrics, Table
@@ -73,15 +71,7 @@ def outcome(tree: Path, kind: Kind) -> str:
         words = [word.replace("FOLDER", str(folder)) for word in kind.job]
         if words[0] != "check-data":
             words += ["--out", str(out)]
-        # -P: the current folder would be searched first for modules.
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "toolkit.cli.main", *words],
-            cwd=tree,
-            env={**os.environ, "PYTHONPATH": str(tree)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = semsplat_of(tree, *words)
         metrics = out / "metrics.json"
         if done.returncode == 0 and metrics.exists():
             return _map_line(flattened(read_metrics(metrics)), kind, done.stderr)

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 
 
 def semsplat_command(*arguments: str) -> list[str]:
@@ -27,6 +28,19 @@ def semsplat(*arguments: str, variables: Mapping[str, str] | None = None) -> Non
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:
         raise SystemExit(f"semsplat {' '.join(arguments)}\n{done.stderr[-2000:]}")
+
+
+def semsplat_of(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Execute a program of a source tree to its end, whatever its status."""
+    return subprocess.run(
+        # -P: the current folder would be searched first for modules.
+        [sys.executable, "-P", "-m", "toolkit.cli.main", *arguments],
+        cwd=tree,
+        env={**os.environ, "PYTHONPATH": str(tree)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def start_semsplat(*arguments: str) -> subprocess.Popen[str]:

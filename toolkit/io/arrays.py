@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import FormatError, RunFolderError
-from toolkit.io.atomic import cannot_write, replacing, sync, umask
+from toolkit.io.atomic import REPLACED, WRITING, cannot_write, replacing, sync, umask
 from toolkit.io.guarded.arrays import read_arrays
 from toolkit.io.guarded.documents import read_json
 
@@ -107,7 +107,7 @@ def write_array_tree(
     text = json.dumps(dict(metadata), indent=1, sort_keys=True, allow_nan=False)
     temporary: Path | None = None
     try:
-        temporary = Path(tempfile.mkdtemp(prefix=".writing-", dir=folder.parent))
+        temporary = Path(tempfile.mkdtemp(prefix=WRITING, dir=folder.parent))
         _write_arrays(temporary / _ARRAYS, arrays)
         (temporary / _METADATA).write_text(text + "\n", encoding="utf-8")
         sync(temporary / _METADATA)
@@ -184,7 +184,7 @@ def _write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
 def _put_in_place(temporary: Path, folder: Path) -> None:
     old: Path | None = None
     if folder.exists():
-        old = Path(tempfile.mkdtemp(prefix=".replaced-", dir=folder.parent))
+        old = Path(tempfile.mkdtemp(prefix=REPLACED, dir=folder.parent))
         os.replace(folder, old / folder.name)
     os.replace(temporary, folder)
     sync(folder.parent)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,10 +11,20 @@ from pathlib import Path
 
 from toolkit.errors import RunFolderError, ToolkitError
 
-# Beginning of the names of files that are being written or replaced.
-TEMPORARY = (".writing-", ".replaced-")
+# Beginning of the names of what is being written or replaced.
+WRITING, REPLACED = ".writing-", ".replaced-"
+TEMPORARY = (WRITING, REPLACED)
 # Bytes by which a file must be able to grow: more than the blocks of a file system.
 _PROBE = 1 << 16
+
+
+def remove_temporary(folder: Path) -> None:
+    """Remove what a killed process was writing or replacing anywhere in a folder."""
+    for path in [path for path in folder.rglob(".*") if path.name.startswith(TEMPORARY)]:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -33,7 +44,7 @@ def replacing(path: str | os.PathLike[str], size: int = 0) -> Iterator[Path]:
     """
     path = Path(path)
     try:
-        handle, name = tempfile.mkstemp(prefix=".writing-", suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=WRITING, suffix=path.suffix, dir=path.parent)
         os.close(handle)
     except OSError as error:
         raise cannot_write(path, error) from error

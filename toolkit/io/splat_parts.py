@@ -11,7 +11,7 @@ from typing import BinaryIO
 from numpy.typing import NDArray
 
 from toolkit.errors import RunFolderError
-from toolkit.io.atomic import replacing
+from toolkit.io.atomic import WRITING, replacing
 from toolkit.io.splat_columns import SplatLike
 from toolkit.io.splats import PathLike, write_splat_ply
 
@@ -36,7 +36,7 @@ def write_splat_parts(
     total = 0
     with (
         replacing(path) as temporary,
-        TemporaryDirectory(prefix=".writing-", dir=Path(path).parent) as folder,
+        TemporaryDirectory(prefix=WRITING, dir=Path(path).parent) as folder,
     ):
         part, rows = Path(folder) / "part.ply", Path(folder) / "rows"
         with rows.open("wb") as body:

@@ -11,7 +11,7 @@ from typing import Any
 
 from toolkit.errors import DependencyError, RunFolderError
 from toolkit.io.arrays import ArrayTree, read_array_tree, write_array_tree
-from toolkit.io.atomic import TEMPORARY, cannot_write, replacing
+from toolkit.io.atomic import cannot_write, remove_temporary, replacing
 from toolkit.io.atomic import write_bytes as write_local
 from toolkit.io.guarded.content import read_content
 
@@ -134,11 +134,7 @@ def remove_leftovers(place: str) -> None:
     """Remove what a killed process was writing or replacing anywhere in a local folder."""
     if is_url(place):
         return  # an upload that did not end left nothing
-    for path in [path for path in Path(place).rglob(".*") if path.name.startswith(TEMPORARY)]:
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
+    remove_temporary(Path(place))
 
 
 def remove_folder(place: str) -> None:

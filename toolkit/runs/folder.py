@@ -30,7 +30,7 @@ from toolkit.errors import FormatError, RunFolderError, SettingsError
 from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
-from toolkit.io.atomic import cannot_write, write_text
+from toolkit.io.atomic import cannot_write, remove_temporary, write_text
 from toolkit.io.covariances import write_covariances
 from toolkit.io.guarded.documents import read_json
 from toolkit.io.object_embeddings import OBJECTS
@@ -175,14 +175,7 @@ class RunFolder:
 
     def remove_leftovers(self) -> None:
         """Remove what a killed process was writing or replacing; call it in the resumed run."""
-        places = (self.path, self.checkpoints, self.renders, self.live, self.submaps)
-        for parent in (*places, *self.submaps.glob("*/"), *self.parts.glob("*/")):
-            for pattern in (".writing-*", ".replaced-*"):
-                for path in parent.glob(pattern):
-                    if path.is_dir():
-                        shutil.rmtree(path, ignore_errors=True)
-                    else:
-                        path.unlink(missing_ok=True)
+        remove_temporary(self.path)
 
     def check_config(self, config: str) -> None:
         """Check that a run is resumed with its own settings.
