@@ -100,3 +100,16 @@ def test_nothing_in_common_determines_nothing():
     empty = FrameLevel(CAMERA, torch.zeros(72, 96), torch.zeros(72, 96))
     problem = LevelProblem(model_level(wall(0)), empty, np.eye(4), SCALES, IDENTITY, 0.1)
     assert not determinacy(problem).rises.any()
+
+
+def test_a_wall_that_is_darker_towards_its_foot_does_not_tell_a_motion_from_an_exposure():
+    x, y = columns_and_rows()
+    pattern = 0.2 * np.sin(0.3 * x) + 0.003 * y
+    model, frame = (wall(seed, pattern) for seed in (0, 1))
+    problem = LevelProblem(model_level(model), frame, np.eye(4), SCALES, IDENTITY, 0.1)
+    along = np.eye(6)[ALONG] * UNITS
+    fixed = linearise(replace(problem, T_model_frame=se3.exp(along))).cost / linearise(problem).cost
+    found = determinacy(problem, refit=True)
+    axis = found.directions[np.argmin(found.rises)] / UNITS
+    assert fixed > 1.3
+    assert found.rises.min() < 0.01 and abs(axis[ALONG]) > 0.9 * np.linalg.norm(axis)

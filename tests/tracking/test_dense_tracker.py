@@ -127,6 +127,18 @@ def test_a_doubt_ends_only_with_clear_evidence(room, gaussians, monkeypatch):
     assert tracker.track(room.frames[3], gaussians).health is Health.GOOD
 
 
+def test_the_first_motion_of_a_new_part_is_one_that_the_camera_can_have_made(room, gaussians):
+    tracker = started(room)
+    tracker.track(room.frames[1], gaussians)
+    frame = room.frames[2]
+    far = room.T_map_camera[2] @ se3.exp(np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    tracker.continue_from(room.frames[1].timestamp_s, far)
+    result = tracker.track(frame, gaussians)
+    assert result.lost and result.reason == "the camera cannot have moved so far"
+    tracker.continue_from(room.frames[1].timestamp_s, room.T_map_camera[1])
+    assert tracker.track(frame, gaussians).health is Health.GOOD
+
+
 def test_a_place_that_the_camera_cannot_have_reached_is_another_one(room, gaussians, monkeypatch):
     tracker = started(room)
     found = tracker.track(room.frames[1], gaussians)

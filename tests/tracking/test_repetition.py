@@ -14,7 +14,7 @@ from toolkit.alignment.levels import model_level
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.tracking.reach import Reach
-from toolkit.tracking.repetition import repetitions
+from toolkit.tracking.repetition import repeats_beyond, repetitions
 
 CAMERA = Camera(80.0, 80.0, 47.5, 35.5, 96, 72)
 DEPTH_M, PERIOD_PX = 2.0, 12
@@ -59,3 +59,23 @@ def test_texture_that_does_not_repeat_and_a_blank_wall_look_the_same_nowhere():
     texture = np.random.default_rng(1).random((CAMERA.height, CAMERA.width))
     assert not places(texture, 2.0 * PERIOD_M)
     assert not places(np.full((CAMERA.height, CAMERA.width), 0.5), 2.0 * PERIOD_M)
+
+
+def test_a_pattern_may_go_on_where_the_map_ends():
+    texture = np.random.default_rng(1).random((CAMERA.height, CAMERA.width))
+    assert goes_on(border(), seen=0.4)
+    assert not goes_on(border(), seen=1.0)
+    assert not goes_on(texture, seen=0.4)
+
+
+def goes_on(intensity: NDArray[np.float64], seen: float) -> bool:
+    """Whether a frame may be elsewhere before a map of this share of the wall, from the left."""
+    images = torch.from_numpy(intensity.astype(np.float32))
+    depth = torch.full((CAMERA.height, CAMERA.width), DEPTH_M)
+    frame, mapped = FrameLevel(CAMERA, images, depth), depth.clone()
+    mapped[:, int(seen * CAMERA.width) :] = 0.0
+    task = SimpleNamespace(levels=[frame], prepared=SimpleNamespace(median_depth_m=DEPTH_M))
+    levels = [model_level(FrameLevel(CAMERA, images, mapped))]
+    view = SimpleNamespace(levels=levels, T_map_view=np.eye(4))
+    reach = Reach(np.eye(4), 1.2 * PERIOD_M, 0.1)
+    return repeats_beyond(task, view, np.eye(4), reach)  # type: ignore[arg-type]

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from toolkit.alignment.backend import linearise
 from toolkit.alignment.data import LevelProblem
+from toolkit.alignment.gauss_newton import GAIN, add_exposure_prior
 from toolkit.alignment.similarity import sampled
+from toolkit.exposure import Exposure
 from toolkit.geometry import se3
 from toolkit.geometry.camera import Camera
 from toolkit.native.constants import STUDENT_T_DOF
@@ -176,15 +178,24 @@ def _valley(
 
 
 def _refitted(problem: LevelProblem, displacement: Array, others: Array) -> tuple[Array, float]:
-    """The displacement [6] of least cost that others [N, 6] lead to, and its cost."""
-    x, best = displacement, np.inf
+    """The displacement [6] of least cost that others [N, 6] lead to, and its cost.
+
+    The exposure is fitted, too: along a wall that is darker towards its foot, a motion and a change
+    of exposure are the same.
+    """
+    x, best, count = displacement, np.inf, len(others)
+    change, basis = np.zeros(2), np.zeros((count + 2, 8))
+    basis[:count, :6], basis[count:, GAIN:] = others, np.eye(2)
     for _ in range(_STEPS):
         T = se3.exp(x) @ problem.T_model_frame
-        linear = linearise(replace(problem, T_model_frame=T))
+        exposure = Exposure(problem.exposure.gain + change[0], problem.exposure.bias + change[1])
+        linear = linearise(replace(problem, T_model_frame=T, exposure=exposure))
         if not linear.cost < (1.0 - _CONVERGED) * best:
             break
         displacement, best = x, linear.cost
-        H, g = others @ linear.H[:6, :6] @ others.T, others @ linear.g[:6]
-        step = -np.linalg.solve(H + _WEAK * np.eye(len(g)), g) @ others
-        x = se3.log(se3.exp(step) @ se3.exp(x))
+        information = linear.intensity_pixels / problem.scales.intensity**2
+        add_exposure_prior(linear.H, linear.g, information, change)
+        H, g = basis @ linear.H @ basis.T, basis @ linear.g
+        step = -np.linalg.solve(H + _WEAK * np.eye(len(g)), g)
+        x, change = se3.log(se3.exp(step[:count] @ others) @ se3.exp(x)), change + step[count:]
     return displacement, best

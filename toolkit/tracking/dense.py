@@ -43,6 +43,7 @@ from toolkit.tracking.options import DenseOptions
 from toolkit.tracking.prepared import PreparedFrames
 from toolkit.tracking.proposals import Proposals
 from toolkit.tracking.reach import (
+    REPEATS,
     Reach,
     by_evidence,
     contradicted,
@@ -50,7 +51,7 @@ from toolkit.tracking.reach import (
     likeliest,
     unless_contradicted,
 )
-from toolkit.tracking.repetition import repetitions
+from toolkit.tracking.repetition import repeats_beyond, repetitions
 from toolkit.tracking.result import Health, TrackingResult
 from toolkit.tracking.rotation_search import rotated_starts, wide_camera
 from toolkit.tracking.views import MapRenderer, RenderedView, Task
@@ -73,6 +74,8 @@ _EXPECTED, _SAME = 0.015, 0.004
 _SURE_COVERED, _PROOFS = 0.25, 2
 # Number of pyramid levels aligned from poses that are accurate to a few pixels.
 _FINE_LEVELS = 2
+
+_TOO_FAR = "the camera cannot have moved so far"
 
 # First level of the search over rotations: half the resolution, as that of its view of the map.
 _SEARCH_LEVEL = 1
@@ -165,7 +168,12 @@ class DenseTracker(MovingTracker):
         )
         bound = self.motion.bound(frame.timestamp_s)
         if not result.lost and bound is not None and not bound.contains(result.T_map_camera):
-            result = contradicted(result, "the camera cannot have moved so far")
+            result = contradicted(result, _TOO_FAR)
+        if self.motion.has_restarted() and not result.lost:
+            # No motion before tells whether the first one of a part is likely.
+            result = doubted(result, unexpected_reason(result.similarity))
+            if not _reached(result, reach):
+                result = contradicted(result, _TOO_FAR)
         # After a gap, nothing but this frame tells where the camera went, and doors are alike.
         gone = features is None and not result.lost
         if gone and self.motion.has_moved_on(frame.timestamp_s, result.T_map_camera):
@@ -199,7 +207,7 @@ class DenseTracker(MovingTracker):
         if result.health is not Health.GOOD:
             return _PROOFS if result.ambiguous else max(1, self._proofs)
         # In a periodic view, the motion since an ambiguous frame may be one by a period.
-        possible = not self._ambiguous or reach is None or reach.contains(result.T_map_camera)
+        possible = not self._ambiguous or _reached(result, reach)
         clear = possible and is_clear(result.similarity, _SURE_COVERED)
         return max(self._proofs - int(clear), 0)
 
@@ -251,6 +259,10 @@ class DenseTracker(MovingTracker):
                 view = self._render(task, T_map_camera)
                 results.append(self._align(task, view, T_map_camera, _FINE_LEVELS))
         best = likeliest(task, results, reach)
+        if reach is not None and task.after_ambiguous and best.health is Health.GOOD:
+            view = self._render(task, best.T_map_camera)
+            if repeats_beyond(task, view, best.T_map_camera, reach):
+                best = replace(doubted(best, REPEATS), ambiguous=True)
         if has_depth(frame) and not self._is_expected(task, best, expected):
             best = doubted(best, unexpected_reason(best.similarity))
         return replace(
@@ -262,8 +274,7 @@ class DenseTracker(MovingTracker):
     @staticmethod
     def _suffices(result: TrackingResult, reach: Reach | None) -> bool:
         """Whether an alignment from the features' pose needs none from the predicted one."""
-        possible = reach is None or reach.contains(result.T_map_camera)
-        return possible and (result.ambiguous or result.health is Health.GOOD)
+        return _reached(result, reach) and (result.ambiguous or result.health is Health.GOOD)
 
     def _is_expected(
         self, task: Task, result: TrackingResult, T_expected: NDArray[np.float64]
@@ -405,6 +416,11 @@ class DenseTracker(MovingTracker):
             similarity=judgement.similarity,
             T_by_features=None if task.features is None else task.features.T_map_camera,
         )
+
+
+def _reached(result: TrackingResult, reach: Reach | None) -> bool:
+    """Whether the camera can be at a pose; it can if nothing is known."""
+    return reach is None or reach.contains(result.T_map_camera)
 
 
 def _is_clear(result: TrackingResult) -> bool:

@@ -40,6 +40,16 @@ class ConstantVelocity:
         ratio = min((timestamp_s - self._times[1]) / elapsed, 2.0)
         return self._poses[1] @ se3.exp(ratio * step)
 
+    def restarted(self) -> ConstantVelocity:
+        """A model without poses, which knows the pace of the camera."""
+        model = ConstantVelocity()
+        model._pace = self._pace
+        return model
+
+    def has_restarted(self) -> bool:
+        """Whether the pace of the camera is known, but not its velocity since a restart."""
+        return self._pace > 0.0 and self._interval_s == 0.0
+
     def reach(self, timestamp_s: float) -> Reach | None:
         """Where the camera may be at a time; None before the first pose."""
         if not self._poses:

@@ -33,7 +33,7 @@ class MovingTracker:
 
     def continue_from(self, timestamp_s: float, T_map_camera: NDArray[np.float64]) -> None:
         """Continue from a pose [4, 4], without a velocity."""
-        self.motion = ConstantVelocity()
+        self.motion = self.motion.restarted()
         self.motion.update(timestamp_s, T_map_camera)
 
     def change_frame(self, T_new_old: NDArray[np.float64]) -> None:

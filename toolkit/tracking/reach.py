@@ -32,6 +32,7 @@ _ANYHOW_M, _ANYHOW_RAD = 0.5, 0.5
 _APART_M, _APART_RAD = 0.3, 0.3
 # Part of a new value in the mean of the last ones.
 _NEW = 0.2
+REPEATS = "what it shows repeats: several poses fit"
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,7 @@ def likeliest(task: Task, results: Sequence[TrackingResult], reach: Reach | None
     possible = [one for one in others if reach.contains(one.T_map_camera)]
     if not others or (reach.contains(nearest.T_map_camera) and not possible):
         return nearest
-    return replace(doubted(nearest, "what it shows repeats: several poses fit"), ambiguous=True)
+    return replace(doubted(nearest, REPEATS), ambiguous=True)
 
 
 def unless_contradicted(task: Task, result: TrackingResult, reach: Reach | None) -> TrackingResult:
