@@ -8,7 +8,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 # The only package without hashes: each index has a build of its own.
 TORCH := torch==2.13.0
 PIP := .venv/bin/python -m pip install --disable-pip-version-check --quiet
-NATIVE_SOURCES := $(wildcard toolkit/native/src/*/*)
+NATIVE_SOURCES := $(wildcard toolkit/base/native/src/*/*)
 DEMO := runs/demo
 DEMO_ROOM := runs/demo-room
 
@@ -138,7 +138,7 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 .stamps/native: setup.py $(NATIVE_SOURCES) .stamps/dependencies
 	@echo "make: compiling the C++ kernels (about a minute)"
 	.venv/bin/python setup.py --quiet build_ext --inplace
-	@if ls toolkit/native/variants/*.so >/dev/null 2>&1; then touch $@; fi
+	@if ls toolkit/base/native/variants/*.so >/dev/null 2>&1; then touch $@; fi
 
 # Shared libraries that Open3D loads; needed on Linux only.
 .stamps/system-libraries: | .stamps
@@ -184,5 +184,5 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	@if [ -d .stamps/node/node_modules/gltf-validator ]; then touch $@; fi
 
 clean:
-	rm -rf .stamps build site *.egg-info toolkit/native/variants
+	rm -rf .stamps build site *.egg-info toolkit/base/native/variants
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

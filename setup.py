@@ -1,7 +1,7 @@
 """The native kernels; everything else about the package is in setup.cfg.
 
 The same C++ sources are compiled into one extension per instruction set;
-`toolkit/native/loading.py` chooses among them by what the CPU supports. They are separate
+`toolkit/base/native/loading.py` chooses among them by what the CPU supports. They are separate
 libraries: in a common one the linker could keep the AVX-512 copy of a template, which
 crashes on older CPUs.
 """
@@ -18,9 +18,9 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import BaseError, CCompilerError
 
-SOURCES = Path("toolkit/native/src")
-CONSTANTS = Path("toolkit/native/constants.py")
-VARIANTS = "toolkit.native.variants"  # a folder without __init__.py, not a package
+SOURCES = Path("toolkit/base/native/src")
+CONSTANTS = Path("toolkit/base/native/constants.py")
+VARIANTS = "toolkit.base.native.variants"  # a folder without __init__.py, not a package
 
 COMPILE_FLAGS = [
     "-std=c++17",
@@ -109,7 +109,7 @@ class BuildNative(build_ext):
         os.makedirs(VARIANTS.replace(".", os.sep), exist_ok=True)
         super().copy_extensions_to_source()
         # Variants that an earlier revision built here could still be imported by name.
-        for stale in Path("toolkit/rendering").glob("_native_*"):
+        for stale in Path("toolkit/splatting/rendering").glob("_native_*"):
             stale.unlink()
 
     def build_extensions(self) -> None:

@@ -15,9 +15,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tqdm import tqdm
 
 import toolkit
-from toolkit.cli.errors import one_line_errors
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
+from toolkit.tools.cli.errors import one_line_errors
 
 
 def main(kind: str, path: Path, out: Path) -> int:

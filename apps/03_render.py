@@ -15,11 +15,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import torch
 
 import toolkit
-from toolkit.cli.errors import one_line_errors
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.io.images import write_png
 from toolkit.io.visualisation import DepthSpan, colour_image, depth_image, with_depth_scale
-from toolkit.rendering.viewpoints import Viewpoint
+from toolkit.splatting.rendering.viewpoints import Viewpoint
+from toolkit.tools.cli.errors import one_line_errors
 
 # One depth range for all views, so that a surface keeps its colour while the camera turns.
 SPAN = DepthSpan(near_m=0.0, far_m=6.0)

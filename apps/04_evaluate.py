@@ -13,10 +13,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 
 import toolkit
-from toolkit.cli.errors import one_line_errors
-from toolkit.errors import DatasetError
-from toolkit.evaluation.metrics import flattened
-from toolkit.evaluation.trajectory import absolute_trajectory_error
+from toolkit.base.errors import DatasetError
+from toolkit.runs.evaluation.metrics import flattened
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
+from toolkit.tools.cli.errors import one_line_errors
 
 
 def main(run_folder: Path) -> int:

@@ -18,11 +18,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 import torch
 
-from toolkit.cli.errors import one_line_errors
-from toolkit.errors import FormatError
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.splats import read_splats, write_splat_ply
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.tools.cli.errors import one_line_errors
 
 DEFAULT_OPACITY = 0.9
 

@@ -17,12 +17,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.cli.errors import one_line_errors
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.meshes import TriangleMesh
 from toolkit.runs.labelled import load_labelled_run
 from toolkit.runs.meshing import MeshOptions, surface_mesh
 from toolkit.semantics.palette import Palette
+from toolkit.tools.cli.errors import one_line_errors
 
 OPTIONS = MeshOptions(voxel_m=0.02, max_depth_m=6.0, every=3)
 

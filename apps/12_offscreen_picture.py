@@ -16,10 +16,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.cli.errors import one_line_errors
-from toolkit.errors import DependencyError, FormatError
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.errors import DependencyError, FormatError
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.images import write_png
+from toolkit.tools.cli.errors import one_line_errors
 
 WIDTH, HEIGHT = 480, 360
 FIELD_OF_VIEW_DEG = 70.0

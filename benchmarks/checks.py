@@ -24,12 +24,12 @@ from benchmarks.programs import semsplat_command
 from benchmarks.recordings import RECORDINGS, SHORT_ROOMS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, Table
+from toolkit.base.options import validated
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.carrier import without_carrier
 from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.registry import describe
 from toolkit.datasets.samples import spread_frames
-from toolkit.options import validated
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.image_side import find_side
 from toolkit.runs.modes import mode_of

@@ -30,7 +30,7 @@ from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
-from toolkit.batch.refining.pipeline import refine_map
+from toolkit.runs.batch.refining.pipeline import refine_map
 from toolkit.runs.settings import PresetName
 
 Item = TypeVar("Item")

@@ -10,11 +10,11 @@ from statistics import fmean
 import numpy as np
 
 from benchmarks.tables import Table
-from toolkit.batch.refining.anchors import corrected_anchors, possible_pairs
-from toolkit.batch.refining.tasks import Extent, PairResult
-from toolkit.geometry import se3
-from toolkit.loops.closing.options import LoopClosureOptions
-from toolkit.loops.registration.result import failed
+from toolkit.base.geometry import se3
+from toolkit.runs.batch.refining.anchors import corrected_anchors, possible_pairs
+from toolkit.runs.batch.refining.tasks import Extent, PairResult
+from toolkit.slam.loops.closing.options import LoopClosureOptions
+from toolkit.slam.loops.registration.result import failed
 
 SEQUENCES = (10, 100, 1000)
 SUBMAPS = (100, 1000, 10_000)

@@ -32,7 +32,7 @@ from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table, Target, target_table
-from toolkit.evaluation.metrics import flattened, read_metrics
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
 
 RowName = Literal[
     "dense-slam", "dense-slam-tuned", "odometry", "odometry-planes", "semsplat", "semsplat-avx2"

@@ -28,12 +28,12 @@ from benchmarks.scripted_model import (
 from benchmarks.tables import Table, median_cell
 from benchmarks.taxonomies import channels, check_classes, class_lists
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.taxonomy_building.builder import build_taxonomy
-from toolkit.taxonomy_building.grouper import Grouping, Question
-from toolkit.taxonomy_building.language_model.chat import NoModelError
-from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
-from toolkit.taxonomy_building.repairs import Repairs
-from toolkit.taxonomy_building.repairs import logger as repairs_logger
+from toolkit.semantics.taxonomy_building.builder import build_taxonomy
+from toolkit.semantics.taxonomy_building.grouper import Grouping, Question
+from toolkit.semantics.taxonomy_building.language_model.chat import NoModelError
+from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.semantics.taxonomy_building.repairs import Repairs
+from toolkit.semantics.taxonomy_building.repairs import logger as repairs_logger
 
 LIST = "objects_200"
 RATES = (0.1, 0.3)
@@ -185,7 +185,7 @@ def rates_of(kind: str, rate: float) -> dict[Kind, float]:
 def main() -> None:
     """Measure one row for each kind of error and rate."""
     options = tyro.cli(Options)
-    header = current_header(range(options.seeds), ("toolkit/taxonomy_building",))
+    header = current_header(range(options.seeds), ("toolkit/semantics/taxonomy_building",))
     classes = class_lists()[LIST]
     without = session(classes, {}, 0)
     assert without.tree is not None

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolkit.base.frame import Frame
 from toolkit.datasets.base import Dataset
-from toolkit.depth_priors.alignment import ScaleShift
-from toolkit.depth_priors.provider import (
+from toolkit.depth.depth_priors.alignment import ScaleShift
+from toolkit.depth.depth_priors.provider import (
     DepthKind,
     DepthPrior,
     Image,
@@ -18,7 +19,6 @@ from toolkit.depth_priors.provider import (
     ScaleScope,
     frame_sets,
 )
-from toolkit.frame import Frame
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,13 @@ from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.images_only import ImagesOnly
 from toolkit.datasets.registry import open_dataset
-from toolkit.depth_priors.alignment import ScaleShift
-from toolkit.depth_priors.correction import DepthCorrection
-from toolkit.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
-from toolkit.evaluation.trajectory import absolute_trajectory_error
-from toolkit.monocular.motion import CameraMotion, estimate_motion
-from toolkit.monocular.sequence import MonocularSequence, prior_correction
+from toolkit.depth.depth_priors.alignment import ScaleShift
+from toolkit.depth.depth_priors.correction import DepthCorrection
+from toolkit.depth.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
+from toolkit.depth.monocular.motion import CameraMotion, estimate_motion
+from toolkit.depth.monocular.sequence import MonocularSequence, prior_correction
 from toolkit.runs.building import build_slam
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.system import Slam
 

@@ -40,8 +40,8 @@ from pathlib import Path
 import torch
 
 from benchmarks.gpu_report import Plan, row, table
+from toolkit.base.native import available_instruction_sets, kernels
 from toolkit.datasets.registry import KINDS
-from toolkit.native import available_instruction_sets, kernels
 
 ROOT = Path(__file__).resolve().parent.parent
 CHANNELS = (4, 18, 30, 105)
@@ -54,7 +54,7 @@ ON_DEMAND = ("tunings", "profile")
 def compile_table(channels: tuple[int, ...], capabilities: tuple[int, ...]) -> None:
     """What every kernel uses as machine code; no GPU is asked."""
     from benchmarks.gpu_kernels import every_kernel
-    from toolkit.rendering.cuda.tuning import Tuning
+    from toolkit.splatting.rendering.cuda.tuning import Tuning
 
     columns = ("sm", "channels", "kernel", "registers", "stack bytes", "shared bytes")
     table("Kernels as machine code", *columns, "tensor-core ops")

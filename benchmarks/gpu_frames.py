@@ -24,33 +24,33 @@ from benchmarks.gpu_scene import (
     trajectory,
     walk,
 )
-from toolkit.alignment import reference
-from toolkit.alignment.data import INITIAL_SCALES, FrameLevel, LevelProblem, ModelLevel
-from toolkit.alignment.levels import finest_level, model_level
+from toolkit.base.exposure import Exposure
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.native import available_instruction_sets
+from toolkit.base.stages import Stage
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.images import psnr_db
-from toolkit.evaluation.trajectory import absolute_trajectory_error
-from toolkit.exposure import Exposure
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.losses.semantic import SemanticLoss
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import ConsensusOptions, KeyframePolicy, MapperOptions
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.native import available_instruction_sets
-from toolkit.rendering import backend
+from toolkit.runs.evaluation.images import psnr_db
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.semantics.codes import SemanticCode, binary_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import ConsensusOptions, KeyframePolicy, MapperOptions
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.system import Slam
-from toolkit.stages import Stage
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.first_order_tracker import FirstOrderTracker
-from toolkit.tracking.options import DenseOptions, FirstOrderOptions
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.first_order_tracker import FirstOrderTracker
+from toolkit.slam.tracking.options import DenseOptions, FirstOrderOptions
+from toolkit.splatting.alignment import reference
+from toolkit.splatting.alignment.data import INITIAL_SCALES, FrameLevel, LevelProblem, ModelLevel
+from toolkit.splatting.alignment.levels import finest_level, model_level
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.losses.semantic import SemanticLoss
+from toolkit.splatting.rendering import backend
 
 # Siblings at each level: 26 channels one-hot, as many as Replica's tree has.
 WIDTHS = (2, 4, 5, 7, 8)
@@ -266,7 +266,7 @@ def recording_table(plan: Plan, recordings: Sequence[tuple[str, str]]) -> None:
 
 def check_alignment(plan: Plan) -> bool:
     """The sums of a Gauss-Newton step against float64 in numpy; whether they are within bounds."""
-    from toolkit.alignment.cuda.sums import linearise
+    from toolkit.splatting.alignment.cuda.sums import linearise
 
     camera = camera_of(*((320, 180) if plan.timed else (24, 16)))
     frames = walk(backend("cuda"), camera, 2, plan.device, 2)

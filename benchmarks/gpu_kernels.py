@@ -17,9 +17,9 @@ import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 
-from toolkit.alignment.cuda import accumulation
-from toolkit.rendering.cuda import compositing, differentiation, projection, reduction
-from toolkit.rendering.cuda.tuning import Tuning, block_of
+from toolkit.splatting.alignment.cuda import accumulation
+from toolkit.splatting.rendering.cuda import compositing, differentiation, projection, reduction
+from toolkit.splatting.rendering.cuda.tuning import Tuning, block_of
 
 _FLOAT, _INT, _LONG = "*fp32", "*i32", "*i64"
 # Types by argument; what is not named here is a 32-bit integer, and capitals are constants.

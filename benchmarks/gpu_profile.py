@@ -12,16 +12,16 @@ from benchmarks.gpu_frames import TAXONOMY
 from benchmarks.gpu_render import OurContest
 from benchmarks.gpu_report import Plan, row, table
 from benchmarks.gpu_scene import camera_of, pose_of, surface_cloud, walk
-from toolkit.keyframe import Keyframe
-from toolkit.losses.semantic import SemanticLoss
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.rendering import backend
+from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.codes import one_hot_code
 from toolkit.semantics.options import SemanticLossWeights
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.options import DenseOptions
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.options import DenseOptions
+from toolkit.splatting.losses.semantic import SemanticLoss
+from toolkit.splatting.rendering import backend
 
 _SHOWN = 15
 

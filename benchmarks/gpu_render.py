@@ -18,17 +18,17 @@ from benchmarks.gpu_scene import (
     touched_pixels,
     with_ellipsoids,
 )
-from toolkit.errors import DependencyError
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.native.constants import NEAR_M
-from toolkit.rendering import backend
-from toolkit.rendering.backend import Backend, ForwardPass
-from toolkit.rendering.cuda.backend import CudaRenderer
-from toolkit.rendering.cuda.tuning import Tuning
-from toolkit.rendering.gsplat import GsplatBackend, load_gsplat
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.base.errors import DependencyError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.native.constants import NEAR_M
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import backend
+from toolkit.splatting.rendering.backend import Backend, ForwardPass
+from toolkit.splatting.rendering.cuda.backend import CudaRenderer
+from toolkit.splatting.rendering.cuda.tuning import Tuning
+from toolkit.splatting.rendering.gsplat import GsplatBackend, load_gsplat
+from toolkit.splatting.rendering.reference import ReferenceBackend
 
 SHIPPED = Tuning()
 TUNINGS = {

@@ -8,16 +8,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
-from toolkit.gaussians.ellipsoids import Ellipsoids
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.native.constants import MIN_ALPHA
-from toolkit.rendering import RenderOptions, render_surface
-from toolkit.rendering.backend import Backend
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.native.constants import MIN_ALPHA
+from toolkit.splatting.gaussians.cloud import PIXEL_FILTER, GaussianCloud
+from toolkit.splatting.gaussians.ellipsoids import Ellipsoids
+from toolkit.splatting.rendering import RenderOptions, render_surface
+from toolkit.splatting.rendering.backend import Backend
 
 _STEP_M, _TURN_RAD = 0.01, 0.004  # a frame: a person's pace at 30 Hz
 _PATCH_M = 0.2  # side of a patch of one class

@@ -17,21 +17,21 @@ import tyro
 from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, Rows, table_of
+from toolkit.base.stages import Stage
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.frame_costs import FrameCostRecorder
-from toolkit.evaluation.timing import StageRecorder
 from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.scene_graph import scene_graph
 from toolkit.exports.selection import select
-from toolkit.growing_scene.options import GrowingSceneOptions
 from toolkit.runs.building import build_slam
+from toolkit.runs.evaluation.frame_costs import FrameCostRecorder
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.outcome import RunRecord
 from toolkit.runs.results import write_results
 from toolkit.runs.settings import RunSettings, dump_settings
-from toolkit.stages import Stage
+from toolkit.slam.growing_scene.options import GrowingSceneOptions
 
 SEQUENCES = {"room": "room-objects", "office0": "office0", "ring": "ring-small"}
 KINDS = ("on", "in", "above", "facing", "next to", "part of", "connected to")

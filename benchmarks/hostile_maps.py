@@ -14,12 +14,16 @@ import torch
 import yaml
 
 from benchmarks.hostile_recordings import HEIGHT, WIDTH, write_folder
-from toolkit.gaussians.cloud import GaussianCloud
 from toolkit.io.object_embeddings import ObjectEmbeddings, write_objects
 from toolkit.io.splats import export_splats
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.taxonomy_building.language_model.chat import ChatAnswer, ChatRequest, ModelIdentity
-from toolkit.taxonomy_building.language_model.exchanges import RecordingModel
+from toolkit.semantics.taxonomy_building.language_model.chat import (
+    ChatAnswer,
+    ChatRequest,
+    ModelIdentity,
+)
+from toolkit.semantics.taxonomy_building.language_model.exchanges import RecordingModel
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 SPLATS = 40
 TREE = {"large": {"soft": ["bed", "sofa"], "hard": ["table"]}, "small": ["cup", "vase"]}
@@ -85,7 +89,7 @@ def write_killed_run(folder: Path) -> None:
 
 
 def _run(folder: Path, words: tuple[str, ...]) -> None:
-    from toolkit.cli.main import main
+    from toolkit.tools.cli.main import main
 
     write_folder(folder / "data")
     where = os.fspath(folder / "data"), os.fspath(folder / "run")

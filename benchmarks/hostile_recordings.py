@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.io import images
 
 FRAMES, WIDTH, HEIGHT = 2, 32, 24

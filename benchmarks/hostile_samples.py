@@ -61,7 +61,7 @@ def command(*words: str) -> Read:
     """
 
     def read(folder: Path) -> None:
-        from toolkit.cli.main import main
+        from toolkit.tools.cli.main import main
 
         os.chdir(folder)
         shown = io.StringIO()
@@ -77,9 +77,9 @@ def dataset(kind: str, name: str = "", needs_depth: bool = True) -> Read:
     """Opens a dataset, loads all frames, and looks for faults."""
 
     def read(folder: Path) -> None:
+        from toolkit.base.errors import ToolkitError
         from toolkit.datasets.checks import check_recording
         from toolkit.datasets.registry import describe, open_dataset
-        from toolkit.errors import ToolkitError
         from toolkit.io.class_names import read_class_colours
 
         path = folder / name
@@ -130,21 +130,21 @@ def _tree(path: Path) -> None:
 
 
 def _shapes(path: Path) -> None:
-    from toolkit.taxonomy_building.shapes import read_shape_table
+    from toolkit.semantics.taxonomy_building.shapes import read_shape_table
 
     read_shape_table(path).embeddings(maps.CLASSES)
 
 
 def _exchanges(path: Path) -> None:
-    from toolkit.taxonomy_building.language_model.exchanges import ReplayedModel
+    from toolkit.semantics.taxonomy_building.language_model.exchanges import ReplayedModel
 
     assert ReplayedModel(path).identity.model
 
 
 def _answer(path: Path) -> None:
     """Asks a server of a language model that answers with the content of the file."""
-    from toolkit.taxonomy_building.language_model.chat import ChatRequest, ModelIdentity
-    from toolkit.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
+    from toolkit.semantics.taxonomy_building.language_model.chat import ChatRequest, ModelIdentity
+    from toolkit.semantics.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
 
     with answering(path) as address:
         identity, chance = ModelIdentity(address, "m"), np.random.default_rng(0)
@@ -155,7 +155,7 @@ def _answer(path: Path) -> None:
 
 
 def _masks(folder: Path) -> None:
-    from toolkit.instances.mask_images import MaskImageFolder
+    from toolkit.slam.instances.mask_images import MaskImageFolder
 
     masks = MaskImageFolder(folder, {0: folder / "000000.png"})
     masks.class_names()
@@ -163,7 +163,7 @@ def _masks(folder: Path) -> None:
 
 
 def _coco(folder: Path) -> None:
-    from toolkit.instances.coco import CocoMasks
+    from toolkit.slam.instances.coco import CocoMasks
 
     masks = CocoMasks(folder / "masks.json")
     masks.class_names()
@@ -173,7 +173,7 @@ def _coco(folder: Path) -> None:
 def _keyframe() -> Any:
     from types import SimpleNamespace
 
-    from toolkit.geometry.camera import Camera
+    from toolkit.base.geometry.camera import Camera
 
     camera = Camera(30.0, 31.0, 15.5, 11.5, recordings.WIDTH, recordings.HEIGHT)
     return SimpleNamespace(index=0, camera=camera)
@@ -186,16 +186,16 @@ def _embeddings(folder: Path) -> None:
 
 
 def _depth_map(path: Path) -> None:
-    from toolkit.depth_priors.providers.depth_maps import read_map
+    from toolkit.depth.depth_priors.providers.depth_maps import read_map
 
     assert read_map(path, 1000.0).size > 0
 
 
 def _models(folder: Path) -> None:
-    from toolkit.errors import FormatError
-    from toolkit.evaluation.lpips import Lpips
-    from toolkit.features.pretrained.loading import model_type
-    from toolkit.features.pretrained.preprocessing import ImagePreprocessing
+    from toolkit.base.errors import FormatError
+    from toolkit.runs.evaluation.lpips import Lpips
+    from toolkit.semantics.features.pretrained.loading import model_type
+    from toolkit.semantics.features.pretrained.preprocessing import ImagePreprocessing
     from toolkit.semantics.segmenters.linear_head import LinearHead
 
     ImagePreprocessing.load(folder)
@@ -209,7 +209,7 @@ def _models(folder: Path) -> None:
 
 
 def _plan(path: Path) -> None:
-    from toolkit.batch.plan import load_plan
+    from toolkit.runs.batch.plan import load_plan
 
     load_plan(path)
 
@@ -221,11 +221,11 @@ def _settings(path: Path) -> None:
 
 
 def _run(folder: Path) -> None:
-    from toolkit.evaluation.metrics import flattened, read_metrics
     from toolkit.io.arrays import read_array_tree
-    from toolkit.loops.log import read_loop_log
+    from toolkit.runs.evaluation.metrics import flattened, read_metrics
     from toolkit.runs.finished import load_run
     from toolkit.runs.saved_objects import load_objects
+    from toolkit.slam.loops.log import read_loop_log
 
     run = load_run(folder / "run")
     load_objects(run.folder)

@@ -177,7 +177,7 @@ def _child(call: Callable[[], None], writing: int) -> None:
 
 
 def _said(call: Callable[[], None]) -> dict[str, str]:
-    from toolkit.errors import ToolkitError
+    from toolkit.base.errors import ToolkitError
 
     limit = _PAGE * int(Path("/proc/self/statm").read_text("utf-8").split()[0]) + _ADDRESSES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -216,7 +216,7 @@ def _import() -> None:
     import importlib
 
     import toolkit.runs.finished  # noqa: F401
-    from toolkit.geometry.open3d_bridge import open3d
+    from toolkit.base.geometry.open3d_bridge import open3d
 
     open3d()
     for name in ("openai", "pxr.Usd", "rosbags.highlevel", "safetensors", "transformers"):

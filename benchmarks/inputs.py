@@ -22,7 +22,7 @@ from benchmarks.programs import semsplat_of
 from benchmarks.report import Report, ReportOptions
 from benchmarks.repository import ROOT
 from benchmarks.tables import Metrics, Table
-from toolkit.evaluation.metrics import flattened, read_metrics
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
 
 DESCRIPTION = """\
 A synthetic room ({frames} frames, 160x120) in the form of each kind of recording, given to the

@@ -12,9 +12,9 @@ from benchmarks.programs import semsplat
 from benchmarks.tables import Metrics
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
-from toolkit.instances.options import InstanceOptions
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.instances.options import InstanceOptions
 
 OFF = "off"
 _FRAMES = 60

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.instances.masks import InstanceMasks
+from toolkit.base.keyframe import Keyframe
 from toolkit.io.images import read_labels
-from toolkit.keyframe import Keyframe
 from toolkit.semantics.segmenters.image_folder import resized_labels
+from toolkit.slam.instances.masks import InstanceMasks
 
 Ids = NDArray[np.int32]
 

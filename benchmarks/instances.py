@@ -22,25 +22,25 @@ from benchmarks.instance_masks import Faults, TrueMasks
 from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import MISSING, Metrics, Rows, Table, table_of
+from toolkit.base.keyframe import Keyframe
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.instances import instance_scores
-from toolkit.instances.finishing import finish_instances
-from toolkit.instances.geometric import GeometricMasks
-from toolkit.instances.masks import InstanceMasks, MaskSource
-from toolkit.instances.options import InstanceOptions
-from toolkit.instances.records import KeyframeMasks
-from toolkit.instances.result import InstanceMap
-from toolkit.instances.tracking import InstanceTracker
-from toolkit.instances.voting import GaussianVotes, MaskedKeyframe
-from toolkit.instances.voxels import VoxelVotes, sampled, sampling_step
-from toolkit.keyframe import Keyframe
-from toolkit.refinement.fusion import FusedMap
 from toolkit.runs.building import build_slam
+from toolkit.runs.evaluation.instances import instance_scores
 from toolkit.runs.map_files import splat_labels
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.query import LabelledMap
+from toolkit.slam.instances.finishing import finish_instances
+from toolkit.slam.instances.geometric import GeometricMasks
+from toolkit.slam.instances.masks import InstanceMasks, MaskSource
+from toolkit.slam.instances.options import InstanceOptions
+from toolkit.slam.instances.records import KeyframeMasks
+from toolkit.slam.instances.result import InstanceMap
+from toolkit.slam.instances.tracking import InstanceTracker
+from toolkit.slam.instances.voting import GaussianVotes, MaskedKeyframe
+from toolkit.slam.instances.voxels import VoxelVotes, sampled, sampling_step
+from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam
 

@@ -30,11 +30,11 @@ from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.options import validated
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.frame import Frame
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.options import validated
 from toolkit.runs.settings import RunSettings
 
 COLUMNS = (

@@ -21,9 +21,9 @@ from benchmarks.programs import semsplat
 from benchmarks.recordings import sequence_arguments
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, table_of
-from toolkit.evaluation.metrics import flattened, read_metrics
-from toolkit.evaluation.trajectory import absolute_trajectory_error
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.runs.finished import load_run
 
 FPS = 10

@@ -27,18 +27,18 @@ from benchmarks.report import Report, ReportOptions, publish
 from benchmarks.results_file import Results, current_header
 from benchmarks.runs import CoveredLens, finished_slam
 from benchmarks.tables import Metrics, Rows, Table, median_cell, table_of
+from toolkit.base.options import validated
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.loops import LoopScore, LoopTruthOptions, true_intervals
-from toolkit.evaluation.run_loops import true_views
-from toolkit.features.builtin import BuiltinEncoder, ColourHistogramEncoder
-from toolkit.features.dinov2 import Dinov2Encoder
-from toolkit.features.encoder import Encoder
-from toolkit.features.vlad import VladEncoder
-from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
-from toolkit.loops.options import CandidateOptions
-from toolkit.options import validated
+from toolkit.runs.evaluation.loops import LoopScore, LoopTruthOptions, true_intervals
+from toolkit.runs.evaluation.run_loops import true_views
 from toolkit.runs.settings import RunSettings
+from toolkit.semantics.features.builtin import BuiltinEncoder, ColourHistogramEncoder
+from toolkit.semantics.features.dinov2 import Dinov2Encoder
+from toolkit.semantics.features.encoder import Encoder
+from toolkit.semantics.features.vlad import VladEncoder
+from toolkit.slam.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
+from toolkit.slam.loops.options import CandidateOptions
 from toolkit.slam.result import SlamResult
 
 Array = NDArray[np.float64]
@@ -216,7 +216,8 @@ def false_edges(result: SlamResult, dataset: Dataset) -> int:
 def measure_encoders(options: Options, name: str) -> None:
     """What each encoder finds by itself, at true poses."""
     header = current_header(
-        [0], ("toolkit/features", "toolkit/loops", "toolkit/evaluation/loops.py")
+        [0],
+        ("toolkit/semantics/features", "toolkit/slam/loops", "toolkit/runs/evaluation/loops.py"),
     )
     dataset = open_dataset(*location(name, 0), options.image_size)
     sequence = DescribedSequence.of(dataset)

@@ -7,7 +7,7 @@ import os
 import platform
 from pathlib import Path
 
-from toolkit.native import ISA_VARIABLE, available_instruction_sets, kernels
+from toolkit.base.native import ISA_VARIABLE, available_instruction_sets, kernels
 
 _PACKAGES = ("torch", "numpy", "open3d")
 

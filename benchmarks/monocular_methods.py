@@ -21,14 +21,14 @@ import tyro
 from numpy.typing import NDArray
 
 from benchmarks.recordings import opened
-from toolkit.alignment.levels import intensity_of
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.base import RecordedDataset
-from toolkit.evaluation.frame_costs import peak_memory_mb
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.motion import estimate_motion
+from toolkit.depth.monocular.motion import estimate_motion
+from toolkit.runs.evaluation.frame_costs import peak_memory_mb
+from toolkit.splatting.alignment.levels import intensity_of
 
 MethodName = Literal["semsplat", "orbslam3", "colmap"]
 Grey = NDArray[np.uint8]

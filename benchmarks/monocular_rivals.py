@@ -26,7 +26,7 @@ from benchmarks.orb_vocabulary import write_vocabulary
 from benchmarks.recordings import INVERTED_ROTATIONS, opened
 from benchmarks.report import WORK, Report, ReportOptions
 from benchmarks.tables import Metrics, table_of
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.geometry.trajectory import Trajectory
 
 COLUMNS = (
     "outcome",

@@ -14,12 +14,12 @@ from benchmarks.recordings import INVERTED_ROTATIONS, opened, sequence_arguments
 from benchmarks.report import WORK
 from benchmarks.runs import finished_run
 from benchmarks.tables import Metrics
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.base import RecordedDataset
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular import motion as motion_module
-from toolkit.monocular.loop_closure import LoopClosure
-from toolkit.monocular.motion import CameraMotion, estimate_motion
-from toolkit.monocular.sequence import MonocularSequence
+from toolkit.depth.monocular import motion as motion_module
+from toolkit.depth.monocular.loop_closure import LoopClosure
+from toolkit.depth.monocular.motion import CameraMotion, estimate_motion
+from toolkit.depth.monocular.sequence import MonocularSequence
 
 OUTLIER = 0.2
 DEPTH_VIEWS = 12

@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.shutter.recording import estimate_readout, with_readout
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.tables import Metrics
-from toolkit.evaluation.trajectory import absolute_trajectory_error, align, associate
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error, align, associate
 
 # Fewer poses determine no alignment.
 _MIN_POSES = 4

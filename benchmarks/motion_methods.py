@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from benchmarks.motion_cases import CaseDataset, MixedDataset
 from benchmarks.recordings import RECORDINGS, room
 from benchmarks.silent_errors import Array, Estimate
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.options import as_plain, validated
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.registry import describe
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.options import as_plain, validated
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings, overridden
 from toolkit.slam.result import SlamResult

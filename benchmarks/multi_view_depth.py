@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, table_of
-from toolkit.alignment.levels import intensity_of
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.depth_priors.multi_view import EstimatedDepth, MultiViewDepth, SweptKeyframe
-from toolkit.monocular.motion import estimate_motion
+from toolkit.depth.depth_priors.multi_view import EstimatedDepth, MultiViewDepth, SweptKeyframe
+from toolkit.depth.monocular.motion import estimate_motion
+from toolkit.splatting.alignment.levels import intensity_of
 
 Found = TypeVar("Found")
 

@@ -21,13 +21,13 @@ import open3d as o3d
 import tyro
 from numpy.typing import NDArray
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.frame_costs import peak_memory_mb
-from toolkit.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.frame_costs import peak_memory_mb
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
 
 RivalName = Literal["dense-slam", "dense-slam-tuned", "odometry", "odometry-planes"]
 Array = NDArray[np.float64]

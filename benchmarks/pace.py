@@ -23,11 +23,11 @@ from benchmarks.recordings import sequence_arguments
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import MISSING, Metrics, Table, table_of
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.metrics import flattened, read_metrics
 from toolkit.runs.building import build_slam
-from toolkit.runs.evaluation import evaluate_scene
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.outcome import tracked_frames
+from toolkit.runs.scoring import evaluate_scene
 from toolkit.runs.settings import load_settings
 
 COLUMNS = (

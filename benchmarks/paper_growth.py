@@ -11,9 +11,9 @@ import torch
 
 from benchmarks.paper_runs import PaperRuns
 from benchmarks.tables import Metrics, Table
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.camera import Camera
-from toolkit.rendering import backend
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import backend
 
 GAUSSIANS: tuple[int, ...] = (25_000, 50_000, 100_000, 200_000, 400_000)
 WIDTHS: tuple[int, ...] = (80, 160, 320, 640)

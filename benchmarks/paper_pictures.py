@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from benchmarks.paper_plans import GROUPS
 from benchmarks.paper_runs import Effort, PaperRuns
 from benchmarks.repository import ROOT
-from toolkit.evaluation.images import psnr_db
-from toolkit.geometry import se3
-from toolkit.rendering import backend, render_surface
+from toolkit.base.geometry import se3
+from toolkit.runs.evaluation.images import psnr_db
 from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.splatting.rendering import backend, render_surface
 
 ROWS, SCALE, GAP = 3, 2, 4
 

@@ -18,7 +18,7 @@ from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import WORK
 from benchmarks.repository import source_digest
 from benchmarks.tables import Metrics
-from toolkit.evaluation.metrics import flattened, read_metrics
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
 
 Values = dict[str, Any]
 

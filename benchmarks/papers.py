@@ -24,20 +24,20 @@ from benchmarks.registration_trials import judged
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, part_table
+from toolkit.base.options import validated
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.loops import TrueViews, loop_metrics
-from toolkit.evaluation.metrics import flattened
-from toolkit.evaluation.run_loops import true_views
-from toolkit.features.factory import build_encoder
-from toolkit.features.options import FeatureOptions
 from toolkit.io.arrays import arrays_below
-from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe
-from toolkit.loops.class_counts import ClassCounter, GaussianClassCounter, PixelClassCounter
-from toolkit.loops.options import CandidateOptions, Counted, LandmarkOptions
-from toolkit.options import validated
-from toolkit.rendering import backend
 from toolkit.runs.building import build_run_labeller, build_slam
+from toolkit.runs.evaluation.loops import TrueViews, loop_metrics
+from toolkit.runs.evaluation.metrics import flattened
+from toolkit.runs.evaluation.run_loops import true_views
 from toolkit.runs.settings import RunSettings
+from toolkit.semantics.features.factory import build_encoder
+from toolkit.semantics.features.options import FeatureOptions
+from toolkit.slam.loops.candidates import CandidateFinder, DescribedKeyframe
+from toolkit.slam.loops.class_counts import ClassCounter, GaussianClassCounter, PixelClassCounter
+from toolkit.slam.loops.options import CandidateOptions, Counted, LandmarkOptions
+from toolkit.splatting.rendering import backend
 
 Values = dict[str, Any]
 PartName = Literal["tracking", "colour", "network", "registration", "landmarks", "correction"]

@@ -24,17 +24,17 @@ from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.runs import finished_slam
 from benchmarks.tables import Table
+from toolkit.base.geometry import se3
+from toolkit.base.options import validated
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.loops import LoopTruthOptions, true_intervals
-from toolkit.evaluation.run_loops import accepted_edges, true_views
-from toolkit.features.builtin import BuiltinEncoder, ColourHistogramEncoder
-from toolkit.features.encoder import Encoder
-from toolkit.features.keypoints import detect_keypoints, similarity_votes
-from toolkit.features.vlad import VladEncoder
-from toolkit.geometry import se3
-from toolkit.options import validated
+from toolkit.runs.evaluation.loops import LoopTruthOptions, true_intervals
+from toolkit.runs.evaluation.run_loops import accepted_edges, true_views
 from toolkit.runs.settings import RunSettings
+from toolkit.semantics.features.builtin import BuiltinEncoder, ColourHistogramEncoder
+from toolkit.semantics.features.encoder import Encoder
+from toolkit.semantics.features.keypoints import detect_keypoints, similarity_votes
+from toolkit.semantics.features.vlad import VladEncoder
 
 Array = NDArray[np.float64]
 

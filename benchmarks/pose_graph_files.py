@@ -24,10 +24,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
-from toolkit.geometry import se3
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph.graph import PoseEdge, PoseGraph
 from toolkit.io.trajectories import text_lines
-from toolkit.loops.pose_graph.graph import PoseEdge, PoseGraph
 
 PathLike = str | os.PathLike[str]
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from benchmarks.recordings import Recording
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
-from toolkit.loops.pose_graph.solver import solve
+from toolkit.base.pose_graph.solver import solve
 
 # After InitializePose3 and Levenberg-Marquardt, as GTSAM's readG2o reads the files.
 OPTIMA = {
@@ -44,7 +44,7 @@ class Options:
 def main() -> None:
     """Measure one row for each graph; exit with 1 if one misses its optimum."""
     options = tyro.cli(Options)
-    header = current_header((), ("toolkit/loops/pose_graph",))
+    header = current_header((), ("toolkit/base/pose_graph",))
     folder = Recording("", "pose_graphs").path
     rows = []
     missed = False

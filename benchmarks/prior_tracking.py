@@ -22,11 +22,15 @@ from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, part_table
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.options import as_plain, validated
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.depth_priors import correction as correction_module
-from toolkit.depth_priors.alignment import Samples, ScaleShift
-from toolkit.depth_priors.provider import (
+from toolkit.depth.depth_priors import correction as correction_module
+from toolkit.depth.depth_priors.alignment import Samples, ScaleShift
+from toolkit.depth.depth_priors.provider import (
     DepthKind,
     DepthPrior,
     DepthProvider,
@@ -35,17 +39,13 @@ from toolkit.depth_priors.provider import (
     PriorSet,
     ScaleScope,
 )
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.losses.tracking_loss import PRESETS
-from toolkit.options import as_plain, validated
-from toolkit.rendering import backend, render_surface
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.modes import RunContext, mode_of
 from toolkit.runs.observers import no_progress
 from toolkit.runs.settings import PresetName, RunSettings, load_settings
 from toolkit.slam.system import Slam
+from toolkit.splatting.losses.tracking_loss import PRESETS
+from toolkit.splatting.rendering import backend, render_surface
 
 SIZE, FRAMES = (160, 120), 40
 SETS = (8, 4)

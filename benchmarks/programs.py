@@ -11,7 +11,7 @@ from pathlib import Path
 
 def semsplat_command(*arguments: str) -> list[str]:
     """The command line of a program, with the interpreter of this process."""
-    return [sys.executable, "-m", "toolkit.cli.main", *arguments]
+    return [sys.executable, "-m", "toolkit.tools.cli.main", *arguments]
 
 
 def semsplat(*arguments: str, variables: Mapping[str, str] | None = None) -> None:
@@ -34,7 +34,7 @@ def semsplat_of(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]
     """Execute a program of a source tree to its end, whatever its status."""
     return subprocess.run(
         # -P: the current folder would be searched first for modules.
-        [sys.executable, "-P", "-m", "toolkit.cli.main", *arguments],
+        [sys.executable, "-P", "-m", "toolkit.tools.cli.main", *arguments],
         cwd=tree,
         env={**os.environ, "PYTHONPATH": str(tree)},
         capture_output=True,

@@ -19,20 +19,20 @@ from benchmarks.recordings import room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
+from toolkit.base.exposure import Exposure
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.options import validated
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.images import balanced, masked_psnr_db, mean_or_none, psnr_db
-from toolkit.evaluation.run_metrics import TrackedFrame
-from toolkit.exposure import Exposure
-from toolkit.gaussians.scene import GaussianScene
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.options import validated
-from toolkit.rendering import render
+from toolkit.runs.evaluation.images import balanced, masked_psnr_db, mean_or_none, psnr_db
+from toolkit.runs.evaluation.run_metrics import TrackedFrame
 from toolkit.runs.outcome import tracked_frames
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.system import Slam
+from toolkit.splatting.gaussians.scene import GaussianScene
+from toolkit.splatting.rendering import render
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from typing import Literal
 
 from benchmarks.registration_pairs import Pair
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.sources import ViewDescriber
-from toolkit.loops.registration.clouds import CloudRegistration
-from toolkit.loops.registration.coarse import CoarseRegistration
-from toolkit.loops.registration.fine import FineRegistration
-from toolkit.loops.registration.first_order_fine import FirstOrderFineRegistration
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.loops.registration.result import Registrar, RegistrationResult
-from toolkit.loops.registration.sgr import SemanticGuidedRegistration
-from toolkit.loops.registration.two_way import TwoWayRegistration
-from toolkit.loops.registration.views import ViewRenderer
+from toolkit.semantics.features.builtin import BuiltinEncoder
+from toolkit.semantics.features.sources import ViewDescriber
+from toolkit.slam.loops.registration.clouds import CloudRegistration
+from toolkit.slam.loops.registration.coarse import CoarseRegistration
+from toolkit.slam.loops.registration.fine import FineRegistration
+from toolkit.slam.loops.registration.first_order_fine import FirstOrderFineRegistration
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.loops.registration.result import Registrar, RegistrationResult
+from toolkit.slam.loops.registration.sgr import SemanticGuidedRegistration
+from toolkit.slam.loops.registration.two_way import TwoWayRegistration
+from toolkit.slam.loops.registration.views import ViewRenderer
 
 
 @dataclass(frozen=True)

@@ -16,22 +16,22 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.recordings import RECORDINGS
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
 from toolkit.datasets.registry import open_dataset
-from toolkit.features.factory import build_describer
-from toolkit.features.sources import ViewDescriber
-from toolkit.frame import Frame
-from toolkit.geometry import se3
 from toolkit.io.trajectories import read_tum
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
-from toolkit.submaps.submap import Submap
+from toolkit.semantics.features.factory import build_describer
+from toolkit.semantics.features.sources import ViewDescriber
+from toolkit.semantics.taxonomy_building.factory import choose_taxonomy
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
+from toolkit.slam.submaps.submap import Submap
+from toolkit.slam.tracking.depth_filter import denoised
 from toolkit.synthetic_rooms import SensorModel, tiny_room
 from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
-from toolkit.taxonomy_building.factory import choose_taxonomy
-from toolkit.tracking.depth_filter import denoised
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.registration_methods import Timed
 from benchmarks.registration_pairs import Pair
 from benchmarks.tables import Table, Target, target_table
-from toolkit.geometry import se3
-from toolkit.loops.verification import rejection_reason
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.verification import rejection_reason
 
 SUCCESS_M, SUCCESS_DEG = 0.05, 2.0
 HALF = 0.5  # overlap that separates easy from hard pairs

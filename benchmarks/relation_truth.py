@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.exports.options import ObjectGraphOptions
-from toolkit.geometry.open3d_bridge import open3d
 from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES
 from toolkit.semantics.relations import Role
 from toolkit.semantics.roles import ENCLOSING_NAMES

@@ -26,15 +26,15 @@ from benchmarks.renderer_contestants import Ours, Rival, compiled, make_scene
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table, Target, target_table
-from toolkit.losses.options import RgbdLossWeights
-from toolkit.native import ISA_VARIABLE, available_instruction_sets, load_variant
-from toolkit.native.tensors import address
+from toolkit.base.native import ISA_VARIABLE, available_instruction_sets, load_variant
+from toolkit.base.native.tensors import address
+from toolkit.splatting.losses.options import RgbdLossWeights
 
 CHANNELS = (4, 18, 30, 32, 105)
 RIVAL_CHANNELS = (4, 7, 24, 32)
 SCENES = ((320, 240, 1), (320, 240, 2), (640, 480, 2))
 THREADS = 2
-MEASURES = ("toolkit/native", "toolkit/rendering")
+MEASURES = ("toolkit/base/native", "toolkit/splatting/rendering")
 COMPARISON = "Compared with another rasteriser"
 DESCRIPTION = """\
 Forward is one call that projects, sorts, bins and composites; backward returns the gradients of all

@@ -12,11 +12,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.camera import Camera
-from toolkit.native import load_variant
-from toolkit.rendering.backend import ForwardPass
-from toolkit.rendering.native import NativeRenderer
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.native import load_variant
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering.backend import ForwardPass
+from toolkit.splatting.rendering.native import NativeRenderer
 
 # Compiler targets of a rival for the instruction sets of ours.
 TARGETS = {"base": "x86-64", "avx2": "haswell", "avx512": "native"}

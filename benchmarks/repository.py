@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 # The code whose results the benchmarks report. A leading "-" excludes a path.
-SYSTEM = ("toolkit", "-toolkit/cli")
+SYSTEM = ("toolkit", "-toolkit/tools/cli")
 
 _MEASURED = ("toolkit", "benchmarks/*.py", "setup.py")
 _SOURCES = ("*.py", "*.cpp", "*.h", "*.hpp", "*.yaml")

@@ -31,7 +31,7 @@ import tyro
 
 from benchmarks.machine import describe_machine
 from benchmarks.programs import semsplat_command
-from toolkit.evaluation.metrics import flattened, read_metrics
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
 
 FILES = ("trajectory.txt", "map.ply", "loops.jsonl")
 # Metrics that no two runs share.

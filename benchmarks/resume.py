@@ -21,7 +21,7 @@ from benchmarks.recordings import sequence_arguments
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
-from toolkit.evaluation.metrics import flattened, read_metrics
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
 
 SAME_BYTES = ("trajectory.txt", "map.ply", "loops.jsonl", "frames.json", "config.yaml")
 DIFFERENT_EACH_TIME = ("_ms_per_frame", "memory.peak_mb")

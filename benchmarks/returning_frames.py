@@ -15,16 +15,16 @@ from benchmarks.recordings import RECORDINGS
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
+from toolkit.base.geometry import se3
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.images import psnr_db
-from toolkit.geometry import se3
-from toolkit.mapping.mapper import Mapper
-from toolkit.rendering import render
+from toolkit.runs.evaluation.images import psnr_db
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.mapper import Mapper
 from toolkit.slam.system import Slam
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.depth_filter import DepthFilter
-from toolkit.tracking.placement import KeyframePlacement
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.depth_filter import DepthFilter
+from toolkit.slam.tracking.placement import KeyframePlacement
+from toolkit.splatting.rendering import render
 
 DESCRIPTION = """\
 RedKitchen moves along a kitchen and back: the frames of the way back are located on the map of the

@@ -39,17 +39,17 @@ from benchmarks.tables import (
     table_of,
     target_table,
 )
+from toolkit.base.geometry import se3
+from toolkit.base.options import validated
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.run_metrics import measure_run
-from toolkit.geometry import se3
-from toolkit.options import validated
+from toolkit.runs.evaluation.run_metrics import measure_run
 from toolkit.runs.outcome import tracked_frames
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.result import SlamResult
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.submaps.submap import Submap
 from toolkit.slam.system import Slam
-from toolkit.submaps.atlas import Atlas
-from toolkit.submaps.submap import Submap
 
 TableName = Literal["summary", "loops", "ablation", "allocation", "registration"]
 

@@ -17,21 +17,21 @@ from tqdm import tqdm
 
 from benchmarks.programs import semsplat
 from benchmarks.tables import Metrics
+from toolkit.base.frame import Frame
+from toolkit.base.stages import Stage
 from toolkit.datasets.base import Dataset
-from toolkit.evaluation.frame_costs import FrameCostRecorder
-from toolkit.evaluation.metrics import flattened, read_metrics
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.frame import Frame
-from toolkit.loops.log import read_loop_log
 from toolkit.runs.building import build_slam
+from toolkit.runs.evaluation.frame_costs import FrameCostRecorder
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.modes import RunInput
 from toolkit.runs.outcome import RunRecord
 from toolkit.runs.results import write_results
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.slam.loops.log import read_loop_log
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam
-from toolkit.stages import Stage
 
 
 def run_metrics(arguments: Sequence[str], seed: int) -> Metrics:

@@ -18,12 +18,12 @@ from benchmarks.reflections import rendered_view
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.options import validated
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.images import masked_psnr_db, mean_or_none
-from toolkit.evaluation.trajectory import absolute_trajectory_error
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.options import validated
+from toolkit.runs.evaluation.images import masked_psnr_db, mean_or_none
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.runs.settings import RunSettings
 from toolkit.synthetic_rooms.ray_casting import Scene
 from toolkit.synthetic_rooms.room import RoomSettings, room_scene

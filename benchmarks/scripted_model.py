@@ -27,12 +27,16 @@ from benchmarks.chat_server import (
     items_of,
 )
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.taxonomy_building.builder import build_taxonomy
-from toolkit.taxonomy_building.grouper import Aspect, Question
-from toolkit.taxonomy_building.language_model.chat import ChatAnswer, ChatRequest, ModelIdentity
-from toolkit.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
-from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
-from toolkit.taxonomy_building.rules import RuleGrouper
+from toolkit.semantics.taxonomy_building.builder import build_taxonomy
+from toolkit.semantics.taxonomy_building.grouper import Aspect, Question
+from toolkit.semantics.taxonomy_building.language_model.chat import (
+    ChatAnswer,
+    ChatRequest,
+    ModelIdentity,
+)
+from toolkit.semantics.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
+from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.semantics.taxonomy_building.rules import RuleGrouper
 
 # Per item of an answer.
 ItemError = Literal["invented", "omitted", "duplicated", "renamed"]

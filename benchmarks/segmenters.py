@@ -17,10 +17,10 @@ from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.frame import Frame
-from toolkit.geometry import se3
 from toolkit.io.images import write_png
 from toolkit.io.visualisation import Panel, colour_image, strip
 from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegmenter

@@ -26,7 +26,7 @@ from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import run_metrics
 from benchmarks.semantics_cost import measure_cost
 from benchmarks.tables import Metrics, Rows, Target, median_of, table_of, target_table
-from toolkit.mapping.consensus import connected_segments
+from toolkit.slam.mapping.consensus import connected_segments
 
 PartName = Literal["quality", "room", "noise", "ablation", "cost"]
 CODES = ("none", "flat", "one-hot", "binary")

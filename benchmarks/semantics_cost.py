@@ -13,18 +13,18 @@ from benchmarks.recordings import RECORDINGS
 from benchmarks.report import publish
 from benchmarks.results_file import Results, current_header
 from benchmarks.tables import Table, Target, target_table
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.options import validated
 from toolkit.datasets.registry import open_dataset
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.optimisation import Objective
-from toolkit.mapping.semantic_mapping import build_semantic_mapping
-from toolkit.options import validated
-from toolkit.rendering import backend
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.optimisation import Objective
+from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
+from toolkit.splatting.rendering import backend
 
 STAGES = ("forward", "backward", "renderer", "step")
 DESCRIPTION = """\
@@ -33,7 +33,12 @@ repetition, and times are medians. The renderer's two passes are timed with grad
 channel; a step is forward pass, losses, backward pass (semantics do not move geometry) and Adam.
 By default only every third mapping step includes semantics; these times are of steps that do.
 "x" columns are relative to the flat code with the same inter-level term."""
-MEASURES = ("toolkit/losses", "toolkit/mapping", "toolkit/native", "toolkit/rendering")
+MEASURES = (
+    "toolkit/splatting/losses",
+    "toolkit/slam/mapping",
+    "toolkit/base/native",
+    "toolkit/splatting/rendering",
+)
 
 # Name, code, and pixels of the inter-level term: 0 for all, None without the term.
 CASES = (

@@ -94,7 +94,9 @@ class _Answer:
 def main() -> int:
     """Measure; exit with 1 if the service crashed or answered with a server's error."""
     options = tyro.cli(Options)
-    header = current_header([options.seed], ("toolkit/serving", "toolkit/rendering"))
+    header = current_header(
+        [options.seed], ("toolkit/tools/serving", "toolkit/splatting/rendering")
+    )
     generator = random.Random(options.seed)
     service, port = _started(options.run or _run(options.frames))
     try:

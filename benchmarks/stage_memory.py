@@ -26,16 +26,16 @@ from benchmarks.programs import start_semsplat_server
 from benchmarks.recordings import RECORDINGS
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, table_of
+from toolkit.base.options import validated
+from toolkit.base.stages import Stage
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.frame_costs import FrameCostRecorder
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.options import validated
 from toolkit.runs import results
 from toolkit.runs.building import build_slam
+from toolkit.runs.evaluation.frame_costs import FrameCostRecorder
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.outcome import RunRecord
 from toolkit.runs.settings import RunSettings, dump_settings
-from toolkit.stages import Stage
 
 FRAMES = 200
 ROWS: dict[str, dict[str, Any]] = {

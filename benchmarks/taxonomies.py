@@ -28,12 +28,12 @@ from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.scripted_model import scripted_tree
 from benchmarks.tables import Table
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.semantics.taxonomy_building.rules import RuleGrouper
+from toolkit.semantics.taxonomy_building.vocabulary import built_in
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
 from toolkit.semantics.taxonomy_parsing import folded
 from toolkit.semantics.trees import shipped_taxonomy
-from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.taxonomy_building.rules import RuleGrouper
-from toolkit.taxonomy_building.vocabulary import built_in
 
 DESCRIPTION = """\
 Classes of three datasets, 200 and 550 object names (`benchmarks/data`; the latter are like those
@@ -137,7 +137,7 @@ def main() -> None:
     if arguments.digests:
         print(json.dumps(digests()))
         return
-    header = current_header((), ("toolkit/semantics", "toolkit/taxonomy_building"))
+    header = current_header((), ("toolkit/semantics", "toolkit/semantics/taxonomy_building"))
     others = digests_of_another_process()
     rows: list[tuple[str, ...]] = []
     for name, classes in class_lists().items():

@@ -29,18 +29,18 @@ from benchmarks.registration_trials import judged
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, part_table
+from toolkit.base.options import validated
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.loops import LoopTruthOptions, true_intervals
-from toolkit.evaluation.run_loops import true_views
-from toolkit.features.factory import build_describer
-from toolkit.features.options import FeatureOptions
-from toolkit.mapping.semantic_mapping import build_semantic_mapping
-from toolkit.options import validated
 from toolkit.runs.building import build_run_labeller
+from toolkit.runs.evaluation.loops import LoopTruthOptions, true_intervals
+from toolkit.runs.evaluation.run_loops import true_views
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
+from toolkit.semantics.features.factory import build_describer
+from toolkit.semantics.features.options import FeatureOptions
 from toolkit.semantics.palette import Palette
+from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
 
 Values = dict[str, Any]
 PartName = Literal["descriptors", "loops", "seeding", "allocation", "registration"]

@@ -27,13 +27,13 @@ import tyro
 from benchmarks.recordings import RECORDINGS
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import Metrics, table_of
+from toolkit.base.options import validated
+from toolkit.base.stages import Stage
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.options import validated
 from toolkit.runs.building import build_slam
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.settings import RunSettings
-from toolkit.stages import Stage
 
 FRAMES, _SHOWN, _WARM = 80, 7, 30
 ROWS: dict[str, dict[str, Any]] = {

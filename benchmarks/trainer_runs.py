@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.programs import semsplat_command
-from toolkit.frame import Frame
-from toolkit.geometry import se3
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
 from toolkit.io.images import write_png
 from toolkit.io.labelled_points import LabelledPoints, write_labelled_points
 from toolkit.io.posed_images import ColouredPoints, PosedImage, write_transforms

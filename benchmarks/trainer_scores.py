@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from benchmarks.real_room import affinely_fitted
 from benchmarks.tables import Metrics
-from toolkit.evaluation.images import mean_or_none, psnr_db, ssim_and_ms_ssim
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.io.visualisation import Panel, RgbImage, colour_image, strip
-from toolkit.rendering import render
+from toolkit.runs.evaluation.images import mean_or_none, psnr_db, ssim_and_ms_ssim
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.splat_clouds import read_cloud
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import render
 
 # A near view is this part of the way to the median depth of a held-out frame.
 _APPROACH = 0.6

@@ -23,18 +23,25 @@ from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.scripted_model import ScriptedChat
 from benchmarks.tables import Table, median_cell
-from toolkit.evaluation.metrics import flattened, read_metrics
-from toolkit.evaluation.segmentation import class_iou, confusion
-from toolkit.geometry import se3
-from toolkit.rendering import RenderOptions, backend, render_surface
+from toolkit.base.geometry import se3
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
+from toolkit.runs.evaluation.segmentation import class_iou, confusion
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.semantics.taxonomy_building.language_model.exchanges import (
+    RecordingModel,
+    ReplayedModel,
+)
+from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.semantics.taxonomy_building.measured_shapes import (
+    LabelledScan,
+    ScanShapes,
+    labelled_scan,
+)
+from toolkit.semantics.taxonomy_building.rules import RuleGrouper
 from toolkit.semantics.trees import shipped_taxonomy
-from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.taxonomy_building.language_model.exchanges import RecordingModel, ReplayedModel
-from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
-from toolkit.taxonomy_building.measured_shapes import LabelledScan, ScanShapes, labelled_scan
-from toolkit.taxonomy_building.rules import RuleGrouper
+from toolkit.splatting.rendering import RenderOptions, backend, render_surface
 
 KIN_LEVEL = 2
 SIZE = ("--image-size", "160", "120")  # of the images of the room

@@ -20,13 +20,13 @@ from benchmarks.recordings import RECORDINGS, Recording, room
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.options import validated
+from toolkit.base.pose_graph.consistency import quantile
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
 from toolkit.datasets.shutter.recording import estimate_readout, with_readout
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.loops.pose_graph.consistency import quantile
-from toolkit.options import validated
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.result import SlamResult

@@ -26,15 +26,15 @@ from playwright.sync_api import sync_playwright
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Table, Target, target_table
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry.camera import Camera
 from toolkit.io.addresses import bind
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.viewer.html import write_page
-from toolkit.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene
-from toolkit.viewer.server import MapServer
-from toolkit.viewer.streaming import WholeMap
+from toolkit.tools.viewer.html import write_page
+from toolkit.tools.viewer.scene import ShownKeyframe, ShownSplats, ShownTree, ViewerScene
+from toolkit.tools.viewer.server import MapServer
+from toolkit.tools.viewer.streaming import WholeMap
 
-MEASURES = ("toolkit/viewer",)
+MEASURES = ("toolkit/tools/viewer",)
 FLAGS = (
     "--no-sandbox",
     "--use-angle=swiftshader",

@@ -19,15 +19,15 @@ from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.runs import finished_slam
 from benchmarks.tables import Metrics, Target, median_of, table_of, target_table
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.options import validated
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.images import psnr_db
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.options import validated
-from toolkit.rendering import render
+from toolkit.runs.evaluation.images import psnr_db
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.result import SlamResult
+from toolkit.splatting.rendering import render
 
 COLUMNS = (
     "psnr_clean_db",

@@ -22,10 +22,10 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from toolkit.cli.errors import one_line_errors
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.images import write_depth_png, write_png
+from toolkit.tools.cli.errors import one_line_errors
 
 VERSION = 4
 DEPTH_VALUES_PER_METRE = 1000.0

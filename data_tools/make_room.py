@@ -5,7 +5,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from toolkit.cli.main import main
+from toolkit.tools.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main(["make-room", *sys.argv[1:]]))

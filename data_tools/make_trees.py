@@ -14,9 +14,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from toolkit.semantics import trees as bundled
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.semantics.taxonomy_building.rules import RuleGrouper
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
-from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.taxonomy_building.rules import RuleGrouper
 
 TREES = Path(bundled.__file__).parent
 

@@ -1,6 +1,6 @@
 """Learn the visual words of the VLAD encoder from synthetic rooms.
 
-    python -m data_tools.make_vocabulary toolkit/features/vocabulary.npz
+    python -m data_tools.make_vocabulary toolkit/semantics/features/vocabulary.npz
 
 Takes a minute. The rooms are not among those of the benchmarks.
 """
@@ -12,8 +12,8 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.features.faiss_library import faiss
-from toolkit.features.vlad import encoder_keypoints, root_sift
+from toolkit.semantics.features.faiss_library import faiss
+from toolkit.semantics.features.vlad import encoder_keypoints, root_sift
 from toolkit.synthetic_rooms import SensorModel, tiny_room
 
 _SEEDS = range(100, 108)

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import toolkit
-from toolkit.cli.help import default_text, option_names, type_text
-from toolkit.cli.live import LiveProgram
-from toolkit.cli.main import JOBS
-from toolkit.cli.programs import PROGRAMS
-from toolkit.cli.run import RunProgram
-from toolkit.options import REQUIRED, Option, nested_options
+from toolkit.base.options import REQUIRED, Option, nested_options
+from toolkit.tools.cli.help import default_text, option_names, type_text
+from toolkit.tools.cli.live import LiveProgram
+from toolkit.tools.cli.main import JOBS
+from toolkit.tools.cli.programs import PROGRAMS
+from toolkit.tools.cli.run import RunProgram
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -33,17 +33,17 @@ API = {
         "toolkit.slam.result.SlamResult",
         "toolkit.slam.result.FrameResult",
     ),
-    "Real time": ("toolkit.pacing.paced.PacedSlam", "toolkit.pacing.delays.PaceSummary"),
+    "Real time": ("toolkit.slam.pacing.paced.PacedSlam", "toolkit.slam.pacing.delays.PaceSummary"),
     "Live cameras and observers": (
-        "toolkit.live.execution.run_live",
-        "toolkit.live.camera.LiveCamera",
-        "toolkit.live.camera.CapturedFrame",
+        "toolkit.runs.live.execution.run_live",
+        "toolkit.runs.live.camera.LiveCamera",
+        "toolkit.runs.live.camera.CapturedFrame",
         "toolkit.runs.observers.ProgressObserver",
         "toolkit.runs.observers.ObservedRun",
     ),
     "Maps": (
-        "toolkit.gaussians.cloud.GaussianCloud",
-        "toolkit.rendering.RenderOutput",
+        "toolkit.splatting.gaussians.cloud.GaussianCloud",
+        "toolkit.splatting.rendering.RenderOutput",
         "toolkit.io.splats.read_splats",
         "toolkit.io.splats.write_splat_ply",
         "toolkit.io.meshes.fuse_views",
@@ -56,7 +56,7 @@ API = {
         "toolkit.io.object_embeddings.ObjectEmbeddings",
         "toolkit.io.object_embeddings.read_objects",
         "toolkit.io.object_embeddings.write_objects",
-        "toolkit.taxonomy_building.builder.build_taxonomy",
+        "toolkit.semantics.taxonomy_building.builder.build_taxonomy",
     ),
     "Objects, rooms and paths": (
         "toolkit.exports.mapped_scene.map_scene",
@@ -70,9 +70,9 @@ API = {
         "toolkit.semantics.measures.free_width_m",
     ),
     "Geometry": (
-        "toolkit.geometry.camera.Camera",
-        "toolkit.geometry.trajectory.Trajectory",
-        "toolkit.geometry.frustum.inside_frustum",
+        "toolkit.base.geometry.camera.Camera",
+        "toolkit.base.geometry.trajectory.Trajectory",
+        "toolkit.base.geometry.frustum.inside_frustum",
     ),
 }
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Yields):\s*$")

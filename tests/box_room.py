@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 
 FLOOR, WALL, CEILING, SURFACE, OBJECT = 1, 2, 3, 4, 5
 CAMERA = Camera(128.0, 128.0, 79.5, 59.5, 160, 120)

@@ -65,7 +65,7 @@ def tiny_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def tiny_run(tiny_recording: Path) -> Path:
     """The folder of a finished run over `tiny_recording`. Read only: copy it to change it."""
-    from toolkit.cli.main import main
+    from toolkit.tools.cli.main import main
 
     out = tiny_recording.with_name("run")
     words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording)]
@@ -78,7 +78,7 @@ def resumable_run(tiny_recording: Path) -> Path:
     """The folder of a run like `tiny_run` that still has its checkpoints. Read only."""
     from killed_runs import kept_checkpoints
 
-    from toolkit.cli.main import main
+    from toolkit.tools.cli.main import main
 
     out = tiny_recording.with_name("resumable")
     words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording)]
@@ -90,9 +90,9 @@ def resumable_run(tiny_recording: Path) -> Path:
 @pytest.fixture(scope="session")
 def submaps_run(tmp_path_factory) -> Path:
     """The folder of a finished run of several submaps. Read only: copy it to change it."""
-    from toolkit.cli.main import main
     from toolkit.synthetic_rooms import tiny_room
     from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
+    from toolkit.tools.cli.main import main
 
     folder = tmp_path_factory.mktemp("submaps")
     frames, truth = tiny_room(14, 96, 72)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 TAXONOMY = Taxonomy(
     {

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.options import DatasetOptions
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.io.splats import write_splat_ply
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.synthetic_rooms.layouts import LAYOUTS, Layout, build_parts
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.paths import look_at

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.base.keyframe import Keyframe
 from toolkit.io.arrays import arrays_below
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper, MappingResult
-from toolkit.mapping.optimisation import Objective
-from toolkit.rendering import SurfaceView
-from toolkit.submaps.submap import Submap
+from toolkit.slam.mapping.mapper import Mapper, MappingResult
+from toolkit.slam.mapping.optimisation import Objective
+from toolkit.slam.submaps.submap import Submap
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import SurfaceView
 
 
 class MappedSubmap:

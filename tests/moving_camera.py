@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from painted_box import box_frames
 
-from toolkit.evaluation.trajectory import align
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.trajectory import align
 
 WIDTH, HEIGHT = 160, 120
 

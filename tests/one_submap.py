@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from toolkit.growing_scene.growing import GrowingScene
-from toolkit.keyframe import Keyframe
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.growing_scene.growing import GrowingScene
 
 
 class OneSubmap:

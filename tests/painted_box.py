@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 
 # Walls in the first camera's frame: axis and place (m).
 WALLS = ((0, -1.6), (0, 1.9), (1, -1.1), (1, 1.2), (2, -2.0), (2, 2.8))

@@ -11,17 +11,17 @@ import numpy as np
 from mapped_submap import MappedSubmap
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.losses.semantic import SemanticLoss
-from toolkit.mapping.options import MapperOptions
-from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.codes import flat_code
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.submaps.submap import Submap
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.submaps.submap import Submap
+from toolkit.splatting.losses.semantic import SemanticLoss
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 

@@ -9,14 +9,14 @@ import numpy as np
 from mapped_submap import MappedSubmap
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.options import SeedingOptions
-from toolkit.gaussians.seeding import seed
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.options import MapperOptions
-from toolkit.rendering import RenderOptions, backend, render, render_surface
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.gaussians.options import SeedingOptions
+from toolkit.splatting.gaussians.seeding import seed
+from toolkit.splatting.rendering import RenderOptions, backend, render, render_surface
 from toolkit.synthetic_rooms import tiny_room
 
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from toolkit.threads import allow_forks, limit_waiting
-
-__version__ = "0.1.0"
+from toolkit.base.threads import allow_forks, limit_waiting
+from toolkit.base.version import __version__
 
 __all__ = [
     "Camera",
     "Frame",
     "RunSettings",
+    "__version__",
     "build_slam",
     "evaluate",
     "load_run",
@@ -27,26 +27,26 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from toolkit.base.frame import Frame
+    from toolkit.base.geometry.camera import Camera
     from toolkit.datasets.registry import open_dataset
-    from toolkit.frame import Frame
-    from toolkit.geometry.camera import Camera
-    from toolkit.rendering import render
     from toolkit.runs.building import build_slam
-    from toolkit.runs.evaluation import evaluate
     from toolkit.runs.execution import run
     from toolkit.runs.finished import load_run
+    from toolkit.runs.scoring import evaluate
     from toolkit.runs.settings import RunSettings, load_settings
+    from toolkit.splatting.rendering import render
 
 _MODULES = {
-    "Camera": "toolkit.geometry.camera",
-    "Frame": "toolkit.frame",
+    "Camera": "toolkit.base.geometry.camera",
+    "Frame": "toolkit.base.frame",
     "RunSettings": "toolkit.runs.settings",
     "build_slam": "toolkit.runs.building",
-    "evaluate": "toolkit.runs.evaluation",
+    "evaluate": "toolkit.runs.scoring",
     "load_run": "toolkit.runs.finished",
     "load_settings": "toolkit.runs.settings",
     "open_dataset": "toolkit.datasets.registry",
-    "render": "toolkit.rendering",
+    "render": "toolkit.splatting.rendering",
     "run": "toolkit.runs.execution",
 }
 

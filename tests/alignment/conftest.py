@@ -7,8 +7,8 @@ from types import ModuleType
 import pytest
 from tracked_room import Room, first_steps
 
-from toolkit.keyframe import Keyframe
-from toolkit.native import available_instruction_sets, load_variant
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.native import available_instruction_sets, load_variant
 
 
 @pytest.fixture(scope="session")

@@ -11,9 +11,12 @@ import pytest
 import torch
 from tracked_room import Room
 
-from toolkit.alignment import backend
-from toolkit.alignment.backend import align, linearise
-from toolkit.alignment.data import (
+from toolkit.base.exposure import IDENTITY, Exposure
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.alignment import backend
+from toolkit.splatting.alignment.backend import align, linearise
+from toolkit.splatting.alignment.data import (
     Alignment,
     FrameLevel,
     GaussNewtonOptions,
@@ -22,11 +25,14 @@ from toolkit.alignment.data import (
     ModelLevel,
     ResidualScales,
 )
-from toolkit.alignment.levels import halved, intensity_of, model_level, pyramid, view_level
-from toolkit.exposure import IDENTITY, Exposure
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.rendering import SurfaceView
+from toolkit.splatting.alignment.levels import (
+    halved,
+    intensity_of,
+    model_level,
+    pyramid,
+    view_level,
+)
+from toolkit.splatting.rendering import SurfaceView
 
 SCALES = ResidualScales(intensity=0.03, depth_m=0.005)
 LIGHT = replace(SCALES, photometric_weight=0.3)

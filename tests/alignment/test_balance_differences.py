@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.alignment.reference import LUMA
-from toolkit.alignment.white_balance import (
+from toolkit.splatting.alignment.reference import LUMA
+from toolkit.splatting.alignment.white_balance import (
     BalanceDifference,
     BalanceLink,
     balance_difference,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.alignment.covariance import clustered_information
-from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
-from toolkit.alignment.levels import keyframe_level, model_level
-from toolkit.keyframe import Keyframe
+from toolkit.base.keyframe import Keyframe
+from toolkit.splatting.alignment.covariance import clustered_information
+from toolkit.splatting.alignment.data import FrameLevel
+from toolkit.splatting.alignment.joint import Estimate, JointOptions, Pair, align
+from toolkit.splatting.alignment.levels import keyframe_level, model_level
 from toolkit.synthetic_rooms import tiny_room
 
 OPTIONS = JointOptions(levels=1)

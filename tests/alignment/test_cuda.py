@@ -11,10 +11,15 @@ from painted_box import box_frame, box_frames, path
 from test_backends import SCALES, assert_close, assert_same_sums, level_of
 from tracked_room import Room, angle_deg, distance_mm
 
-from toolkit.alignment import reference
-from toolkit.alignment.backend import align, linearise
-from toolkit.alignment.cuda import images as torch_images
-from toolkit.alignment.data import (
+from toolkit.base.exposure import IDENTITY, Exposure
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.native import kernels_for
+from toolkit.base.native.constants import SILHOUETTE
+from toolkit.splatting.alignment import reference
+from toolkit.splatting.alignment.backend import align, linearise
+from toolkit.splatting.alignment.cuda import images as torch_images
+from toolkit.splatting.alignment.data import (
     INITIAL_SCALES,
     Alignment,
     FrameLevel,
@@ -22,12 +27,7 @@ from toolkit.alignment.data import (
     LevelProblem,
     ModelLevel,
 )
-from toolkit.alignment.levels import finest_level, model_level, pyramid
-from toolkit.exposure import IDENTITY, Exposure
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.native import kernels_for
-from toolkit.native.constants import SILHOUETTE
+from toolkit.splatting.alignment.levels import finest_level, model_level, pyramid
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
@@ -43,10 +43,10 @@ def room() -> Room:
 def backend():
     """The launcher of the kernels, in memory that holds NaN where nothing was written."""
     pytest.importorskip("triton", reason="triton is not installed")
-    rendering = pytest.importorskip("toolkit.rendering.cuda.backend")
+    rendering = pytest.importorskip("toolkit.splatting.rendering.cuda.backend")
     if DEVICE == "cpu" and not rendering.interpreted():
         pytest.skip("no GPU, and triton was imported to compile")
-    from toolkit.alignment.cuda.backend import CudaAlignment
+    from toolkit.splatting.alignment.cuda.backend import CudaAlignment
 
     torch.set_deterministic_debug_mode("warn")
     yield CudaAlignment()

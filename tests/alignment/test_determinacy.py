@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.alignment.backend import linearise
-from toolkit.alignment.data import FrameLevel, LevelProblem, ResidualScales
-from toolkit.alignment.determinacy import UNITS, Determinacy, _valley, determinacy
-from toolkit.alignment.levels import model_level
-from toolkit.exposure import IDENTITY
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.exposure import IDENTITY
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.alignment.backend import linearise
+from toolkit.splatting.alignment.data import FrameLevel, LevelProblem, ResidualScales
+from toolkit.splatting.alignment.determinacy import UNITS, Determinacy, _valley, determinacy
+from toolkit.splatting.alignment.levels import model_level
 
 CAMERA = Camera(80.0, 80.0, 47.5, 35.5, 96, 72)
 SCALES = ResidualScales(0.01, 0.01)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.alignment import covariance
+from toolkit.splatting.alignment import covariance
 
 BLOCKS = covariance._ROWS * covariance._COLUMNS
 

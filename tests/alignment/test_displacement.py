@@ -9,13 +9,13 @@ import pytest
 import torch
 from tracked_room import Room
 
-from toolkit.alignment import displacement
-from toolkit.alignment.displacement import displacement_rad
-from toolkit.alignment.levels import finest_level, model_level
-from toolkit.alignment.similarity import COLUMNS, ROWS
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.tracking.rolling_shutter import as_exposed
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.slam.tracking.rolling_shutter import as_exposed
+from toolkit.splatting.alignment import displacement
+from toolkit.splatting.alignment.displacement import displacement_rad
+from toolkit.splatting.alignment.levels import finest_level, model_level
+from toolkit.splatting.alignment.similarity import COLUMNS, ROWS
 
 CPU = torch.device("cpu")
 

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.alignment.data import FrameLevel, ResidualScales
-from toolkit.alignment.exposure import (
+from toolkit.base.exposure import IDENTITY, Exposure
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.alignment.data import FrameLevel, ResidualScales
+from toolkit.splatting.alignment.exposure import (
     IntensityStatistics,
     estimate_exposure,
     exposure_between,
     exposure_between_images,
     intensity_statistics,
 )
-from toolkit.alignment.gauss_newton import BIAS, GAIN
-from toolkit.alignment.levels import model_level, pyramid
-from toolkit.exposure import IDENTITY, Exposure
-from toolkit.geometry.camera import Camera
+from toolkit.splatting.alignment.gauss_newton import BIAS, GAIN
+from toolkit.splatting.alignment.levels import model_level, pyramid
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ import pytest
 import torch
 from registered_room import Scene, error, motion
 
-from toolkit.alignment import joint
-from toolkit.alignment.joint import Estimate, JointOptions, Pair, align
-from toolkit.alignment.levels import keyframe_level, model_level, pyramid
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
+from toolkit.splatting.alignment import joint
+from toolkit.splatting.alignment.joint import Estimate, JointOptions, Pair, align
+from toolkit.splatting.alignment.levels import keyframe_level, model_level, pyramid
 
 LEVELS = 3
 

@@ -11,19 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, seen_by
 
-from toolkit.alignment import matching
-from toolkit.alignment.matching import (
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.registry import open_dataset
+from toolkit.semantics.features.keypoints import Keypoints
+from toolkit.splatting.alignment import matching
+from toolkit.splatting.alignment.matching import (
     Matched,
     match_features,
     measure_offset,
     rigid_fits,
     similarity_fits,
 )
-from toolkit.datasets.registry import open_dataset
-from toolkit.features.keypoints import Keypoints
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
 from toolkit.synthetic_rooms import tiny_room
 
 seeds = st.integers(0, 10_000)

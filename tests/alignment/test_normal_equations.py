@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolkit.alignment.gauss_newton import add_exposure_prior, fix_exposure
+from toolkit.splatting.alignment.gauss_newton import add_exposure_prior, fix_exposure
 
 
 def equations(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from toolkit.alignment.pose_adam import MOMENTS, PoseAdam
+from toolkit.splatting.alignment.pose_adam import MOMENTS, PoseAdam
 
 
 def test_steps_are_those_of_torch():

@@ -9,10 +9,10 @@ import pytest
 import torch
 from tracked_room import Room, small_motion
 
-from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.levels import finest_level, model_level
-from toolkit.alignment.similarity import Similarity, aligned_correlation
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
+from toolkit.splatting.alignment.data import FrameLevel
+from toolkit.splatting.alignment.levels import finest_level, model_level
+from toolkit.splatting.alignment.similarity import Similarity, aligned_correlation
 
 CPU = torch.device("cpu")
 

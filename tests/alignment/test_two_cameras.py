@@ -11,9 +11,12 @@ from painted_box import box_frame
 from test_backends import assert_same_sums
 from tracked_room import angle_deg, distance_mm
 
-from toolkit.alignment import backend as backend_selection
-from toolkit.alignment.backend import align, linearise
-from toolkit.alignment.data import (
+from toolkit.base.exposure import IDENTITY, Exposure
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.alignment import backend as backend_selection
+from toolkit.splatting.alignment.backend import align, linearise
+from toolkit.splatting.alignment.data import (
     INITIAL_SCALES,
     Alignment,
     FrameLevel,
@@ -22,10 +25,7 @@ from toolkit.alignment.data import (
     ModelLevel,
     ResidualScales,
 )
-from toolkit.alignment.levels import finest_level, model_level, pyramid
-from toolkit.exposure import IDENTITY, Exposure
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.splatting.alignment.levels import finest_level, model_level, pyramid
 
 WIDE = Camera(60.0, 58.0, 40.5, 28.0, 80, 60)
 LONG = Camera(84.0, 88.0, 37.0, 31.5, 80, 60)

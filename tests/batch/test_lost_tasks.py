@@ -12,17 +12,17 @@ from typing import Any
 
 import pytest
 
-from toolkit.batch.options import RayOptions
-from toolkit.batch.plan import Resources
-from toolkit.batch.process import RunJob, execute_run
-from toolkit.batch.ray_cluster import (
+from toolkit.base.errors import ToolkitError
+from toolkit.runs.batch.options import RayOptions
+from toolkit.runs.batch.plan import Resources
+from toolkit.runs.batch.process import RunJob, execute_run
+from toolkit.runs.batch.ray_cluster import (
     OnRay,
     ProcessKilledError,
     RayCluster,
     TaskResources,
     ray_cluster,
 )
-from toolkit.errors import ToolkitError
 
 
 class OutOfMemoryError(Exception):
@@ -147,7 +147,7 @@ def test_a_run_without_memory_is_named_while_the_others_finish(tmp_path, monkeyp
             raise OutOfMemoryError
         return SimpleNamespace(name=job.name, reason="", time_s=1.0, killed=False)
 
-    monkeypatch.setattr("toolkit.batch.ray_cluster.execute_run", executed)
+    monkeypatch.setattr("toolkit.runs.batch.ray_cluster.execute_run", executed)
     ray = FakeRay()
     executor = OnRay(RayCluster(ray), Resources(threads=1, memory_gb=2.0, retries=1))
     outcomes = {outcome.name: outcome.reason for outcome in executor.execute(jobs)}
@@ -162,7 +162,7 @@ def test_a_run_that_the_kernel_kills_is_recognised(tmp_path, monkeypatch):
     python = tmp_path / "python"
     python.write_text(f"#!/bin/sh\nexec {os.sys.executable} -c '{program}'\n")
     python.chmod(0o755)
-    monkeypatch.setattr("toolkit.batch.process.sys.executable", str(python))
+    monkeypatch.setattr("toolkit.runs.batch.process.sys.executable", str(python))
     job = RunJob("a/b/seed0", tmp_path / "out/a/b/seed0", "", tmp_path / "logs", 1)
     outcome = execute_run(job)
     assert outcome.killed and "probably for lack of memory" in outcome.reason

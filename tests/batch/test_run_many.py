@@ -41,7 +41,7 @@ def test_a_killed_program_takes_its_run_with_it_and_resumes_it(night, rooms, tmp
     plan = write_plan(tmp_path / "killed.yaml", rooms, "a")
     assert "1 new" in semsplat("run-many", plan, "--dry-run").stdout
     assert not (tmp_path / "killed").exists()
-    command = [sys.executable, "-m", "toolkit.cli.main", "run-many", str(plan)]
+    command = [sys.executable, "-m", "toolkit.tools.cli.main", "run-many", str(plan)]
     program = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     folder = tmp_path / "killed/a/quick/seed0"
     deadline = time.monotonic() + 120
@@ -90,7 +90,7 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, words, message):
 
 def test_without_ray_a_cluster_is_one_line(rooms, tmp_path):
     plan = write_plan(tmp_path / "p.yaml", rooms, "a")
-    block = "import sys; sys.modules['ray'] = None; from toolkit.cli.main import main; "
+    block = "import sys; sys.modules['ray'] = None; from toolkit.tools.cli.main import main; "
     code = block + f"sys.exit(main(['run-many', {str(plan)!r}, '--cluster']))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 2

@@ -22,7 +22,15 @@ SAME = ("trajectory.txt", "map.ply", "loops.jsonl")
 def test_a_lost_worker_costs_one_resumed_run(night, rooms, tmp_path):
     resources = {"threads": 1, "memory_gb": 0.5}
     plan = write_plan(tmp_path / "r.yaml", rooms, "a", "b", "missing", resources=resources)
-    command = [sys.executable, "-m", "toolkit.cli.main", "run-many", str(plan), "--ray.cpus", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "toolkit.tools.cli.main",
+        "run-many",
+        str(plan),
+        "--ray.cpus",
+        "2",
+    ]
     program = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     attempts = tmp_path / "r/logs/a/quick/seed0.attempts.jsonl"
     deadline = time.monotonic() + 120

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.batch.plan import PlannedRuns, load_plan
-from toolkit.batch.state import checkpoint_frame, planned_config, run_state
-from toolkit.errors import SettingsError
+from toolkit.base.errors import SettingsError
+from toolkit.runs.batch.plan import PlannedRuns, load_plan
+from toolkit.runs.batch.state import checkpoint_frame, planned_config, run_state
 from toolkit.runs.settings import load_settings
 
 PLAN = """

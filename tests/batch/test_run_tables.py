@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.batch.plan import PlannedRun
-from toolkit.batch.report import write_batch_report
-from toolkit.batch.table import run_row, table_csv, table_markdown
-from toolkit.cli.run_many import running_text
+from toolkit.runs.batch.plan import PlannedRun
+from toolkit.runs.batch.report import write_batch_report
+from toolkit.runs.batch.table import run_row, table_csv, table_markdown
 from toolkit.runs.settings import RunSettings
+from toolkit.tools.cli.run_many import running_text
 
 GOOD = {"trajectory": {"ate_rmse_cm": 1.23456}, "images": {"mapped": {"psnr_db": None}}}
 

@@ -29,5 +29,5 @@ def write_plan(path: Path, rooms: Path, *names: str, **more: object) -> Path:
 
 
 def semsplat(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "toolkit.cli.main", *map(str, words)]
+    command = [sys.executable, "-m", "toolkit.tools.cli.main", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=240)

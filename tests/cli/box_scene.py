@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.rendering import backend, render_surface
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import backend, render_surface
 
 CAMERA = Camera(fx=40.0, fy=40.0, cx=31.5, cy=23.5, width=64, height=48)
 # Where the map lies in the world of the truth: nothing may rely on the two being one.

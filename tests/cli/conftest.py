@@ -10,11 +10,11 @@ from box_scene import CAMERA, T_WORLD_MAP, box_map, frames_at, frames_content, p
 from labelled_run import make_labelled_run
 from room_runs import RoomRuns, make_room_runs
 
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.options import DatasetOptions
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.runs.folder import MapPart, RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from box_scene import CAMERA, T_WORLD_MAP, frames_at, frames_content
 from labelled_room import T_MAP_ROOM, TAXONOMY, gaussians_at, labelled, room_parts
 
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.options import DatasetOptions
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.splats import write_splat_ply
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings

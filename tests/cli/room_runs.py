@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.cli.main import main
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
+from toolkit.tools.cli.main import main
 
 QUICK = [
     *("--mapping.first-iterations", "8"),

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import pytest
 
-from toolkit.cli import run
-from toolkit.cli.arguments import parse_arguments
-from toolkit.errors import SettingsError
+from toolkit.base.errors import SettingsError
 from toolkit.runs.settings import RunSettings
+from toolkit.tools.cli import run
+from toolkit.tools.cli.arguments import parse_arguments
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.cli.main import main
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.tools.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [
@@ -48,7 +48,7 @@ def test_the_program_writes_a_tree_of_a_list_and_shows_it(names_file, tmp_path):
     out = tmp_path / "flat.yaml"
     words = ["--classes", names_file, "--out", out, "--picture", tmp_path / "flat.png", "--review"]
     done = subprocess.run(
-        [sys.executable, "-m", "toolkit.cli.main", "build-taxonomy", *map(str, words)],
+        [sys.executable, "-m", "toolkit.tools.cli.main", "build-taxonomy", *map(str, words)],
         cwd=ROOT,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         capture_output=True,

@@ -13,10 +13,10 @@ import pytest
 from layout_run import changed, make_run
 from test_finished_run_programs import one_line_of_error
 
-from toolkit.cli.compare import unique_names
-from toolkit.cli.main import main
-from toolkit.evaluation.comparison import direction
+from toolkit.runs.evaluation.comparison import direction
 from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
+from toolkit.tools.cli.compare import unique_names
+from toolkit.tools.cli.main import main
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ from moving_camera import film, turn, walk
 from test_finished_run_programs import one_line_of_error
 from test_monocular_runs import arguments, write_film
 
-from toolkit.cli.main import main
-from toolkit.frame import Frame
+from toolkit.base.frame import Frame
 from toolkit.slam.result import FrameResult
 from toolkit.slam.system import Slam
+from toolkit.tools.cli.main import main
 
 PRIORS = ["--depth-prior.kind", "maps"]
 

@@ -12,8 +12,7 @@ from labelled_room import IDS, TAXONOMY
 from test_finished_run_programs import one_line_of_error
 from tiny_models import save_clip
 
-from toolkit.cli.main import main
-from toolkit.errors import ToolkitError
+from toolkit.base.errors import ToolkitError
 from toolkit.io.object_embeddings import read_objects, unit_rows
 from toolkit.runs.labelled import load_labelled_run
 from toolkit.runs.object_embedding import (
@@ -24,6 +23,7 @@ from toolkit.runs.object_embedding import (
     find_views,
 )
 from toolkit.semantics.options import ObjectOptions
+from toolkit.tools.cli.main import main
 
 
 class CentreColour:

@@ -7,10 +7,10 @@ import json
 import cv2
 import pytest
 
-from toolkit.cli.explain_loops import main, summary
-from toolkit.cli.programs import ExplainLoopsOptions
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.evaluation.loop_gallery import results_of
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.runs.evaluation.loop_gallery import results_of
+from toolkit.tools.cli.explain_loops import main, summary
+from toolkit.tools.cli.programs import ExplainLoopsOptions
 
 CANDIDATE = {
     "kind": "candidate",

@@ -15,11 +15,9 @@ from box_scene import frames_content, poses
 from labelled_room import IDS, LENGTH_M, T_MAP_ROOM, WIDTH_M
 from test_finished_run_programs import one_line_of_error
 
-from toolkit.cli.main import main
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.options import DatasetOptions
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.colmap import read_images
 from toolkit.io.images import read_rgb
 from toolkit.io.splats import read_splats, write_splat_ply
@@ -27,8 +25,10 @@ from toolkit.io.trajectories import read_tum
 from toolkit.runs.folder import MapPart, RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.colour_names import COLOUR_NAMES
-from toolkit.viewer.options import ShownContent
-from toolkit.viewer.reading import read_scene
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.tools.cli.main import main
+from toolkit.tools.viewer.options import ShownContent
+from toolkit.tools.viewer.reading import read_scene
 
 UTM = np.array([388096.0, 3948996.0, 57.0])
 MESH = ["--every", "1", "--voxel-m", "0.04"]

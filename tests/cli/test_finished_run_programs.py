@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.cli.main import main
 from toolkit.io.images import read_rgb, write_rgb
 from toolkit.runs.splat_clouds import read_cloud
+from toolkit.tools.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def semsplat(*words: object) -> subprocess.CompletedProcess[str]:
     """A program in a process of its own."""
     return subprocess.run(
-        [sys.executable, "-m", "toolkit.cli.main", *map(str, words)],
+        [sys.executable, "-m", "toolkit.tools.cli.main", *map(str, words)],
         cwd=ROOT,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         capture_output=True,

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from tyro.conf import Positional
 
-from toolkit.cli.help import COMMON, help_page
-from toolkit.cli.live import LiveProgram
-from toolkit.cli.main import JOBS, main
-from toolkit.cli.programs import PROGRAMS
-from toolkit.cli.run import RunProgram
-from toolkit.options import Fraction, PositiveInt, nested_options
+from toolkit.base.options import Fraction, PositiveInt, nested_options
+from toolkit.tools.cli.help import COMMON, help_page
+from toolkit.tools.cli.live import LiveProgram
+from toolkit.tools.cli.main import JOBS, main
+from toolkit.tools.cli.programs import PROGRAMS
+from toolkit.tools.cli.run import RunProgram
 
 KINDS = {**PROGRAMS, "run": RunProgram, "live": LiveProgram}
 

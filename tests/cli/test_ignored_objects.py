@@ -13,15 +13,15 @@ from test_instance_runs import arguments
 from test_semantic_runs import error_of
 from tiny_models import save_clip
 
-from toolkit.cli.main import main
-from toolkit.evaluation.metrics import read_metrics
 from toolkit.io.images import read_labels, write_png
 from toolkit.io.splats import read_splats
-from toolkit.runs.evaluation import evaluate
+from toolkit.runs.evaluation.metrics import read_metrics
 from toolkit.runs.finished import load_run
+from toolkit.runs.scoring import evaluate
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.synthetic_rooms import RoomSettings, make_room
 from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
+from toolkit.tools.cli.main import main
 
 FRAMES = 8
 # The object that is ignored: the only one of a class, which its masks call a robot.
@@ -77,7 +77,7 @@ def clip(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def embedded(shown, clip, tmp_path_factory) -> Path:
     """Masks without classes, of which the embedding of the robot is that of a text."""
-    from toolkit.features.pretrained.text_image import TextImageEncoder
+    from toolkit.semantics.features.pretrained.text_image import TextImageEncoder
 
     encoder = TextImageEncoder(clip, "cpu")
     ignored, other = encoder.embed_texts([TEXT, "chair"])

@@ -11,16 +11,16 @@ import pytest
 from labelled_room import IDS, TAXONOMY
 from test_export_formats import UTM
 
-from toolkit.cli.main import main
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splat_placement import origin_in
 from toolkit.io.splats import read_splats
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.serving.listing import listing_page
-from toolkit.serving.requests import QueryParameters
-from toolkit.serving.served_run import ServedRun
-from toolkit.viewer.options import ShownContent
-from toolkit.viewer.reading import read_scene
+from toolkit.tools.cli.main import main
+from toolkit.tools.serving.listing import listing_page
+from toolkit.tools.serving.requests import QueryParameters
+from toolkit.tools.serving.served_run import ServedRun
+from toolkit.tools.viewer.options import ShownContent
+from toolkit.tools.viewer.reading import read_scene
 
 ORIGIN = "origin_m 388096.000 3948996.000 57.000"
 UNITS = LengthNames(metric=False).notes[0]

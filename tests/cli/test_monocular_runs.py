@@ -12,12 +12,12 @@ import yaml
 from moving_camera import film, turn, walk, wind
 from test_finished_run_programs import one_line_of_error
 
-from toolkit.cli.main import main
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.io import images
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum, write_tum
+from toolkit.tools.cli.main import main
 
 QUICK = [
     *("--mapping.first-iterations", "6"),

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.images import read_rgb
 from toolkit.io.splats import read_splats
 

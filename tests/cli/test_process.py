@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.cli.errors import explain
-from toolkit.errors import DependencyError
+from toolkit.base.errors import DependencyError
 from toolkit.io.arrays import write_array_tree
+from toolkit.tools.cli.errors import explain
 
 ROOT = Path(__file__).resolve().parents[2]
-PROGRAM = [sys.executable, "-m", "toolkit.cli.main"]
+PROGRAM = [sys.executable, "-m", "toolkit.tools.cli.main"]
 SURROUNDINGS = os.environ | {"PYTHONPATH": str(ROOT)}
 
 
@@ -61,7 +61,7 @@ def test_a_reader_that_stops_reading_is_no_error(words: tuple[str, ...]):
 
 def test_a_client_that_leaves_concurrent_tasks_is_no_error():
     job = (
-        "from toolkit.cli.errors import one_line_errors\n"
+        "from toolkit.tools.cli.errors import one_line_errors\n"
         "def job():\n"
         "    raise ExceptionGroup('tasks', [ExceptionGroup('task', [BrokenPipeError(32, 'x')])])\n"
         "raise SystemExit(one_line_errors(job))"

@@ -13,10 +13,10 @@ from labelled_room import IDS
 from test_finished_run_programs import one_line_of_error
 from tiny_models import save_clip, save_siglip
 
-from toolkit.cli.main import main
-from toolkit.features.pretrained.text_image import TextImageEncoder
 from toolkit.io.images import write_png
 from toolkit.io.object_embeddings import ObjectEmbeddings, read_objects, unit_rows, write_objects
+from toolkit.semantics.features.pretrained.text_image import TextImageEncoder
+from toolkit.tools.cli.main import main
 
 pytest.importorskip("transformers")
 

@@ -20,11 +20,11 @@ from labelled_room import (
 from labelled_run import PLACES
 from test_finished_run_programs import one_line_of_error, semsplat
 
-from toolkit.cli.main import main
-from toolkit.geometry import se3
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.splats import read_splats, write_splat_ply
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.tools.cli.main import main
 
 
 @pytest.fixture(scope="module")

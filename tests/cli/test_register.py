@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from test_finished_run_programs import semsplat
 
-from toolkit.cli.main import main
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.io.arrays import read_array_tree, write_array_tree
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
-from toolkit.loops import two_maps
-from toolkit.loops.verification import VerificationLimits, rejection_reason
 from toolkit.runs.finished import load_run
 from toolkit.runs.settings import load_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.loops import two_maps
+from toolkit.slam.loops.verification import VerificationLimits, rejection_reason
+from toolkit.tools.cli.main import main
 
 FAST = ["--registration.views", "3", "--registration.pairs", "4"]
 

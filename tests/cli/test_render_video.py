@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 from test_finished_run_programs import one_line_of_error
 
-from toolkit.cli.main import main
 from toolkit.io.images import read_rgb
+from toolkit.tools.cli.main import main
 
 SHORT = ["--video-s", "0.5", "--video-fps", "20"]
 

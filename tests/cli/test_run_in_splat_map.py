@@ -12,9 +12,8 @@ import pytest
 from room_runs import make_recordings, walk
 from test_run_in_saved_map import error_of, stopped_after
 
-from toolkit.cli.main import main
-from toolkit.errors import SettingsError
-from toolkit.geometry import se3
+from toolkit.base.errors import SettingsError
+from toolkit.base.geometry import se3
 from toolkit.io.splats import export_splats, read_splats
 from toolkit.runs.finished import load_run
 from toolkit.runs.saved_map import open_saved_map
@@ -22,6 +21,7 @@ from toolkit.runs.settings import RunSettings
 from toolkit.runs.splat_clouds import read_cloud
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
+from toolkit.tools.cli.main import main
 
 UNITS_PER_METRE = 2.5
 T_FILE_WORLD = se3.exp(np.array([3.0, -2.0, 0.5, 0.9, -1.7, 0.6]))

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from box_scene import RenderedDataset, frames_at, poses, rendered_dataset
 
-from toolkit.evaluation.run_metrics import (
+from toolkit.base.exposure import Exposure
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.runs.evaluation.run_metrics import (
     MeasureOptions,
     TrackedFrame,
     measure_run,
     open_unseen,
 )
-from toolkit.exposure import Exposure
-from toolkit.frame import Frame
-from toolkit.gaussians.scene import InMemoryScene
-from toolkit.geometry import se3
-from toolkit.tracking.rolling_shutter import as_exposed
+from toolkit.slam.tracking.rolling_shutter import as_exposed
+from toolkit.splatting.gaussians.scene import InMemoryScene
 
 
 def tracked(T_map_camera, held_out=(), **exposure) -> list[TrackedFrame]:

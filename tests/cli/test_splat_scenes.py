@@ -14,11 +14,11 @@ from labelled_room import IDS
 from test_export_formats import UTM, export
 from test_finished_run_programs import one_line_of_error
 
-from toolkit.cli.main import main
 from toolkit.io.images import read_rgb
 from toolkit.io.splats import read_splats
 from toolkit.runs.labelled import taxonomy_of_file
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.tools.cli.main import main
 
 SUFFIXES = (".splats.glb", ".splats.gltf", ".usda", ".usdc", ".usdz")
 

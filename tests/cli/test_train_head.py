@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.cli.main import main
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.semantics.segmenters.linear_head import LinearHead
 from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
+from toolkit.tools.cli.main import main
 
 transformers = pytest.importorskip("transformers")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tiny_frames import HEIGHT, WIDTH, camera_file, frame_depth_m, frame_rgb, pose
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.io import images
 
 

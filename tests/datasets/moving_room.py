@@ -8,10 +8,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
 

@@ -8,6 +8,10 @@ import numpy as np
 import pytest
 from moving_room import CAMERA, pose, write_recording
 
+from toolkit.base.errors import SettingsError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.options import validated
 from toolkit.datasets import checks
 from toolkit.datasets.agreement.findings import Contradictions, contradictions
 from toolkit.datasets.agreement.given_poses import PoseAgreement, judge_given, sudden_steps
@@ -18,16 +22,12 @@ from toolkit.datasets.agreement.refine import with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
 from toolkit.datasets.samples import SmallFrames, evenly_spaced
-from toolkit.errors import SettingsError
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.trajectories import write_tum
-from toolkit.mapping.consensus import connected_segments
-from toolkit.options import validated
 from toolkit.runs import modes
 from toolkit.runs.modes import mode_of
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.mapping.consensus import connected_segments
 
 FRAMES, FPS = 40, 20.0
 TIMES_S = np.arange(FRAMES) / FPS

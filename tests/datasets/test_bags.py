@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from bag_writing import STORAGES, BagContent
 
+from toolkit.base.errors import DatasetError, DependencyError
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.options import BagTopics, DatasetOptions
 from toolkit.datasets.registry import describe, open_dataset
-from toolkit.errors import DatasetError, DependencyError
 from toolkit.io import images
 
 SIZE = WIDTH, HEIGHT = 32, 24

@@ -8,12 +8,12 @@ import pytest
 import yaml
 from moving_room import CAMERA, exposed
 
+from toolkit.base.errors import RunFolderError
+from toolkit.base.frame import Frame
 from toolkit.datasets.carrier import CellImages, find_carrier
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import describe, open_dataset
-from toolkit.errors import RunFolderError
-from toolkit.frame import Frame
 from toolkit.io import images
 from toolkit.runs.processed_frames import check_identity, identity_of
 

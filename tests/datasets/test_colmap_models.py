@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tiny_frames import HEIGHT, WIDTH, frame_rgb, pose
 
+from toolkit.base.errors import DatasetError, FormatError
+from toolkit.base.geometry import se3
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import DatasetError, FormatError
-from toolkit.geometry import se3
 from toolkit.io import images
 from toolkit.io.colmap import read_cameras
 

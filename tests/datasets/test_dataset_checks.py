@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from toolkit.cli import check_data
-from toolkit.cli.programs import CheckDataOptions
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.registry import describe
 from toolkit.io import images
+from toolkit.tools.cli import check_data
+from toolkit.tools.cli.programs import CheckDataOptions
 
 
 def test_valid_recording_has_no_faults(make_replica):
@@ -187,7 +187,16 @@ def test_program_prints_the_report_and_sets_the_exit_status(make_replica, capsys
 
 def test_program_reports_a_wrong_path_in_one_line(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", "toolkit.cli.main", "check-data", "--kind", "tum", "--path", "no"],
+        [
+            sys.executable,
+            "-m",
+            "toolkit.tools.cli.main",
+            "check-data",
+            "--kind",
+            "tum",
+            "--path",
+            "no",
+        ],
         capture_output=True,
         text=True,
         check=False,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from toolkit.base.frame import Frame
 from toolkit.datasets.depth_kind import depth_kind_fault
-from toolkit.frame import Frame
 from toolkit.synthetic_rooms import tiny_room
 
 

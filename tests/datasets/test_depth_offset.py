@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.depth_offset import estimate_depth_offset
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.resize import ImageGrid
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
 
 # Scenes are drawn this many times larger, so that offsets can be fractions of a pixel.
 FINE = 10

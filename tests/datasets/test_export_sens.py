@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry import se3
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import FormatError
-from toolkit.geometry import se3
 
 SCRIPT = Path(__file__).parents[2] / "data_tools" / "export_sens.py"
 

@@ -2,10 +2,10 @@
 
 import pytest
 
+from toolkit.base.errors import DatasetError
 from toolkit.datasets.faults import fault_tolerant
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import DatasetError
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from toolkit.base.errors import DatasetError, FormatError
+from toolkit.base.geometry import se3
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.pairing import associate
 from toolkit.datasets.registry import KINDS, describe, open_dataset
-from toolkit.errors import DatasetError, FormatError
-from toolkit.geometry import se3
 from toolkit.io import images
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from toolkit.base.geometry import se3
 from toolkit.datasets.agreement.lens import derivatives, distorted, undistorted
-from toolkit.geometry import se3
 
 VALUES = np.array([0.08, 0.03, -0.02, -0.15])
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.cli.main import main
+from toolkit.base.errors import ToolkitError
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import ToolkitError
+from toolkit.tools.cli.main import main
 
 LAYOUTS = (
     *("folder", "tum", "replica", "seven-scenes", "scannet"),

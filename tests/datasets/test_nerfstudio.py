@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from test_formats import check_frames, check_truth
 
+from toolkit.base.errors import DatasetError
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import DatasetError
 from toolkit.io import images
 
 

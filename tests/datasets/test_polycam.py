@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tiny_frames import camera_file, frame_depth_m, frame_rgb, pose
 
+from toolkit.base.errors import DatasetError
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import DatasetError
 
 FRAMES = 3
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from moving_room import pose, write_recording
 
+from toolkit.base.errors import DatasetError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.options import validated
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.registry import describe
 from toolkit.datasets.samples import SmallFrames
-from toolkit.errors import DatasetError
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
 from toolkit.io.trajectories import read_tum, write_tum
-from toolkit.options import validated
 from toolkit.runs.execution import run
 from toolkit.runs.finished import load_run
 from toolkit.runs.recordings import open_recording

@@ -6,10 +6,10 @@ import time
 import numpy as np
 import pytest
 
+from toolkit.base.errors import DatasetError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.prefetch import prefetched
-from toolkit.errors import DatasetError
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
 
 CAMERA = Camera(10, 10, 2, 2, 4, 4)
 

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from toolkit.base.geometry import se3
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.registry import open_dataset
-from toolkit.geometry import se3
 
 RECORDINGS = [
     ("tum", "tum_fr1_rpy", 120, 517.3),

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from tiny_frames import frame_depth_m, pose
 
+from toolkit.base.errors import DatasetError, DependencyError
+from toolkit.base.geometry import se3
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import DatasetError, DependencyError
-from toolkit.geometry import se3
 
 lzfse = pytest.importorskip("lzfse")
 

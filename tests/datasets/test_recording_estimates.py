@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from moving_room import CAMERA, write_recording
 
-from toolkit.cli.main import main
+from toolkit.base.errors import RunFolderError
 from toolkit.datasets import preparation
 from toolkit.datasets.agreement.refine import with_intrinsics
 from toolkit.datasets.depth_offset import DepthOffset
@@ -15,8 +15,8 @@ from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_place
 from toolkit.datasets.shutter.estimate import ShutterEstimate
-from toolkit.errors import RunFolderError
 from toolkit.runs.finished import load_run
+from toolkit.tools.cli.main import main
 
 # Values with many digits.
 REFINED = replace(CAMERA, fx=CAMERA.fx / 1.1, cx=CAMERA.cx + 1 / 3)

@@ -15,8 +15,8 @@ import test_record3d
 from test_bags import write_rgbd
 from test_photos import write_photo
 
-from toolkit.cli.main import main
 from toolkit.datasets.options import DatasetKind
+from toolkit.tools.cli.main import main
 
 # Kinds that are colour with or without depth, by their fixtures.
 RGBD = {

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.findings import quick_findings
 from toolkit.datasets.registration_check import (
     RegistrationReport,
@@ -13,8 +15,6 @@ from toolkit.datasets.registration_check import (
     measure_registration,
 )
 from toolkit.datasets.registry import open_dataset
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
 from toolkit.io import images
 
 CAMERA = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from toolkit.base.errors import DatasetError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.resize import ImageGrid
 from toolkit.datasets.undistortion import Undistortion
-from toolkit.errors import DatasetError
-from toolkit.geometry.camera import Camera
 
 SIZES = st.tuples(st.integers(8, 60), st.integers(8, 60))
 

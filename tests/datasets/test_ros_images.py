@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from toolkit.errors import DatasetError
+from toolkit.base.errors import DatasetError
 from toolkit.io.ros_images import colour_of, depth_m_of, is_depth, is_grey, size_of
 
 RED = (200, 40, 90)  # a colour whose channels all differ

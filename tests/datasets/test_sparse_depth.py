@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import yaml
 
+from toolkit.base.options import validated
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.sparse_depth import filled, sparsity
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
-from toolkit.options import validated
 from toolkit.runs.execution import run
 from toolkit.runs.settings import RunSettings
 from toolkit.synthetic_rooms import tiny_room

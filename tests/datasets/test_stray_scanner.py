@@ -7,9 +7,9 @@ import pytest
 from film_boxes import change, turned_upright
 from test_formats import check_truth, depth_of
 
+from toolkit.base.errors import DatasetError, FormatError
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.registry import describe, open_dataset
-from toolkit.errors import DatasetError, FormatError
 from toolkit.io import images
 from toolkit.io.video import VideoFile
 

@@ -5,10 +5,10 @@ import logging
 import numpy as np
 import pytest
 
+from toolkit.base.errors import DatasetError
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.times import is_impossible, unit_fault
-from toolkit.errors import DatasetError
 
 TIMES_S = 1403636579.7635 + np.arange(6) / 30
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from toolkit.base.errors import DatasetError
 from toolkit.datasets.registry import describe, open_dataset
-from toolkit.errors import DatasetError
 from toolkit.io.images import read_rgb, write_rgb
 
 INTRINSICS = "fx: 20.5\nfy: 20.5\ncx: 15.5\ncy: 11.5\nwidth: 640\nheight: 480\ndepth_scale: 1000\n"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 
 WIDTH, HEIGHT = 32, 24
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 
 # Poses of the images of a set, in the unit of the depth.
 POSES = np.array([se3.exp([0.1 * n, 0.0, 0.02 * n, 0.0, 0.05 * n, 0.0]) for n in range(1, 9)])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from moving_camera import film, walk
 
-from toolkit.alignment.levels import intensity_of
-from toolkit.depth_priors import coarse_to_fine, consensus, plane_sweep
-from toolkit.depth_priors.problem import Image, NeighbourView
-from toolkit.geometry import se3
-from toolkit.native import load_variant
+from toolkit.base.geometry import se3
+from toolkit.base.native import load_variant
+from toolkit.depth.depth_priors import coarse_to_fine, consensus, plane_sweep
+from toolkit.depth.depth_priors.problem import Image, NeighbourView
+from toolkit.splatting.alignment.levels import intensity_of
 
 POSES = walk(9)[::2]
 FRAMES = film(POSES)

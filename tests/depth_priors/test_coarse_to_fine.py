@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from swept_box import CAMERA, FRAMES, IMAGES, T_from_to, relative_error, use_kernels
 
-from toolkit.depth_priors.coarse_to_fine import Source, image_pair, sweep_depth
-from toolkit.geometry.camera import Camera
-from toolkit.native import available_instruction_sets
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.native import available_instruction_sets
+from toolkit.depth.depth_priors.coarse_to_fine import Source, image_pair, sweep_depth
 
 PAIRS = [image_pair(image) for image in IMAGES]
 RANGE = (0.2, 1.0)

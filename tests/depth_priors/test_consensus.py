@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from swept_box import CAMERA, TRUE, posed, use_kernels
 
-from toolkit.depth_priors.consensus import AgreementOptions, find_consensus, relative_sigma
-from toolkit.depth_priors.problem import Consensus, NeighbourView
-from toolkit.geometry import se3
-from toolkit.native import available_instruction_sets
+from toolkit.base.geometry import se3
+from toolkit.base.native import available_instruction_sets
+from toolkit.depth.depth_priors.consensus import AgreementOptions, find_consensus, relative_sigma
+from toolkit.depth.depth_priors.problem import Consensus, NeighbourView
 
 ALL = [None, *available_instruction_sets()]
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from moving_camera import film, walk
 
-from toolkit.depth_priors.completion import DepthCompletion, splatted
-from toolkit.depth_priors.multi_view import SweptKeyframe
-from toolkit.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
-from toolkit.depth_priors.provider import DepthKind, PriorImage
+from toolkit.depth.depth_priors.completion import DepthCompletion, splatted
+from toolkit.depth.depth_priors.multi_view import SweptKeyframe
+from toolkit.depth.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
+from toolkit.depth.depth_priors.provider import DepthKind, PriorImage
 
 POSES = walk(5)
 FRAMES = film(POSES)

@@ -7,10 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from toolkit.depth_priors.correction import DepthCorrection, RenderedDepth
-from toolkit.depth_priors.options import ScaleCorrectionOptions
-from toolkit.depth_priors.outliers import without_outliers
-from toolkit.depth_priors.provider import (
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.depth.depth_priors.correction import DepthCorrection, RenderedDepth
+from toolkit.depth.depth_priors.options import ScaleCorrectionOptions
+from toolkit.depth.depth_priors.outliers import without_outliers
+from toolkit.depth.depth_priors.provider import (
     DepthKind,
     DepthPrior,
     PriorImage,
@@ -18,9 +20,7 @@ from toolkit.depth_priors.provider import (
     PriorSet,
     ScaleScope,
 )
-from toolkit.depth_priors.source import FramePrior, PriorSource
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.depth.depth_priors.source import FramePrior, PriorSource
 
 SHAPE = (60, 80)
 CAMERA = Camera(70.0, 70.0, 39.5, 29.5, 80, 60)

@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
+from toolkit.base.errors import DatasetError, DependencyError, SettingsError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.resize import ImageGrid
-from toolkit.depth_priors.factory import build_provider
-from toolkit.depth_priors.options import DepthMapOptions, DepthPriorOptions
-from toolkit.depth_priors.provider import DepthKind, ScaleScope
-from toolkit.depth_priors.providers.depth_maps import DepthMapFolder
-from toolkit.errors import DatasetError, DependencyError, SettingsError
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.depth.depth_priors.factory import build_provider
+from toolkit.depth.depth_priors.options import DepthMapOptions, DepthPriorOptions
+from toolkit.depth.depth_priors.provider import DepthKind, ScaleScope
+from toolkit.depth.depth_priors.providers.depth_maps import DepthMapFolder
 from toolkit.io.images import write_png
 
 SOURCE = Camera(100.0, 100.0, 39.5, 29.5, 80, 60)

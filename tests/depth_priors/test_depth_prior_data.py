@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.depth_priors.provider import (
+from toolkit.base.geometry.camera import Camera
+from toolkit.depth.depth_priors.provider import (
     Confidence,
     DepthKind,
     DepthPrior,
@@ -15,7 +16,6 @@ from toolkit.depth_priors.provider import (
     ScaleScope,
     frame_sets,
 )
-from toolkit.geometry.camera import Camera
 
 MODEL = PriorModel("a model", licence="MIT")
 FRAME = Camera(100.0, 100.0, 39.5, 29.5, 80, 60)

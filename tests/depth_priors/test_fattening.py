@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from swept_box import use_kernels
 
-from toolkit.depth_priors.coarse_to_fine import remove_fattening
-from toolkit.native import available_instruction_sets
+from toolkit.base.native import available_instruction_sets
+from toolkit.depth.depth_priors.coarse_to_fine import remove_fattening
 
 EVERY = pytest.mark.parametrize("name", [None, *available_instruction_sets()])
 ROWS, COLUMNS = np.mgrid[:60, :80]

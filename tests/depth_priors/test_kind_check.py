@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolkit.depth_priors.kind_check import KnownDepths, prior_doubt
-from toolkit.depth_priors.provider import (
+from toolkit.depth.depth_priors.kind_check import KnownDepths, prior_doubt
+from toolkit.depth.depth_priors.provider import (
     DepthKind,
     DepthPrior,
     PixelMapping,

@@ -7,8 +7,8 @@ import pytest
 import torch
 from swept_box import CAMERA, FAR, FRAMES, IMAGES, NEAR, POSES, use_kernels
 
-from toolkit.depth_priors.multi_view import MultiViewDepth, SweptKeyframe
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
+from toolkit.depth.depth_priors.multi_view import MultiViewDepth, SweptKeyframe
 
 
 def multi_view(poses: np.ndarray = POSES, scale: float = 1.0) -> MultiViewDepth:

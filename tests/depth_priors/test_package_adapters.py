@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from fake_packages import DEPTH_SCALE, POSES, plane
 
-from toolkit.depth_priors.factory import build_provider
-from toolkit.depth_priors.options import DepthPriorOptions, PriorModelOptions
-from toolkit.depth_priors.provider import DepthKind, ScaleScope
-from toolkit.errors import DependencyError, FormatError
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import DependencyError, FormatError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.depth.depth_priors.factory import build_provider
+from toolkit.depth.depth_priors.options import DepthPriorOptions, PriorModelOptions
+from toolkit.depth.depth_priors.provider import DepthKind, ScaleScope
 
 CAMERA = Camera(90.0, 90.0, 51.5, 39.5, 104, 80)
 PORTRAIT = Camera(90.0, 90.0, 29.5, 59.5, 60, 120)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.depth_priors.plane_completion import FilledHoles, complete
+from toolkit.depth.depth_priors.plane_completion import FilledHoles, complete
 
 HEIGHT, WIDTH = 90, 120
 Y, X = np.mgrid[:HEIGHT, :WIDTH]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from swept_box import CAMERA, IMAGES, NEAR, TRUE, posed, relative_error, use_kernels
 
-from toolkit.depth_priors.plane_sweep import double_depth, plane_sweep
-from toolkit.depth_priors.problem import NeighbourView, Planes, SweptPlanes
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.native import available_instruction_sets
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.native import available_instruction_sets
+from toolkit.depth.depth_priors.plane_sweep import double_depth, plane_sweep
+from toolkit.depth.depth_priors.problem import NeighbourView, Planes, SweptPlanes
 
 
 def planes(count: int, far: float = 0.2, near: float = 1.0) -> Planes:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.depth_priors.alignment import (
+from toolkit.depth.depth_priors.alignment import (
     Samples,
     ScaleShift,
     fit,
@@ -16,7 +16,7 @@ from toolkit.depth_priors.alignment import (
     robust_fit,
     samples_of,
 )
-from toolkit.depth_priors.provider import DepthKind, PriorImage
+from toolkit.depth.depth_priors.provider import DepthKind, PriorImage
 
 SHAPE = (120, 160)
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from tiny_depth_models import ARCHITECTURES, save
 
-from toolkit.depth_priors.factory import build_provider
-from toolkit.depth_priors.options import DepthPriorOptions, PriorModelOptions
-from toolkit.depth_priors.provider import DepthKind, DepthPrior
-from toolkit.errors import FormatError, SettingsError
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import FormatError, SettingsError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.depth.depth_priors.factory import build_provider
+from toolkit.depth.depth_priors.options import DepthPriorOptions, PriorModelOptions
+from toolkit.depth.depth_priors.provider import DepthKind, DepthPrior
 
 CAMERA = Camera(70.0, 70.0, 39.5, 29.5, 80, 60)
 SHAPE = (60, 80)

@@ -12,14 +12,14 @@ from mapped_submap import MappedSubmap
 from painted_box import box_frames, path
 from torch import Tensor
 
-from toolkit.errors import DependencyError, SettingsError
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.options import MapperOptions
-from toolkit.rendering import map_device
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.first_order_tracker import FirstOrderTracker
-from toolkit.tracking.options import DenseOptions, FirstOrderOptions
+from toolkit.base.errors import DependencyError, SettingsError
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.first_order_tracker import FirstOrderTracker
+from toolkit.slam.tracking.options import DenseOptions, FirstOrderOptions
+from toolkit.splatting.gaussians.cloud import PARAMETERS, GaussianCloud
+from toolkit.splatting.rendering import map_device
 
 SIZE = (96, 72)
 GPU = "cuda:0"
@@ -135,7 +135,7 @@ def test_device_of_the_map(monkeypatch):
         map_device("cuda", "auto")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     # The package names its function like the module.
-    module = importlib.import_module("toolkit.rendering.render")
+    module = importlib.import_module("toolkit.splatting.rendering.render")
     monkeypatch.setattr(module, "backend", lambda name: None)
     assert map_device("auto", "reference") == "cpu"
     assert map_device("auto", "auto") == map_device("cuda", "gsplat") == "cuda"

@@ -16,20 +16,20 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.levels import model_level, pyramid, view_level
-from toolkit.exposure import Exposure
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe, Observed
-from toolkit.losses.options import RgbdLossWeights
-from toolkit.losses.photometric import rgbd_loss_torch
-from toolkit.mapping.sparse_adam import LearningRates, SparseAdam
-from toolkit.rendering.surface import SurfaceView, surface_depth
-from toolkit.rendering.texture import resample_at_centres
+from toolkit.base.exposure import Exposure
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe, Observed
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.submaps.optimiser_state import OptimiserState
+from toolkit.slam.mapping.sparse_adam import LearningRates, SparseAdam
+from toolkit.slam.submaps.optimiser_state import OptimiserState
+from toolkit.splatting.alignment.data import FrameLevel
+from toolkit.splatting.alignment.levels import model_level, pyramid, view_level
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.losses.options import RgbdLossWeights
+from toolkit.splatting.losses.photometric import rgbd_loss_torch
+from toolkit.splatting.rendering.surface import SurfaceView, surface_depth
+from toolkit.splatting.rendering.texture import resample_at_centres
 
 META = torch.device("meta")
 CAMERA = Camera(50.0, 52.0, 23.5, 17.5, 48, 36)

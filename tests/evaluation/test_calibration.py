@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.evaluation.calibration import Calibration, calibration_metrics
+from toolkit.runs.evaluation.calibration import Calibration, calibration_metrics
 
 
 def collected(confidence: np.ndarray, right: np.ndarray) -> Calibration:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.evaluation.depth import depth_l1
-from toolkit.evaluation.images import (
+from toolkit.runs.evaluation.depth import depth_l1
+from toolkit.runs.evaluation.images import (
     MAX_PSNR_DB,
     mean_or_none,
     psnr_db,

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
-from toolkit.evaluation.frame_costs import peak_memory_mb
-from toolkit.evaluation.metrics import (
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.stages import Column
+from toolkit.runs.evaluation.frame_costs import peak_memory_mb
+from toolkit.runs.evaluation.metrics import (
     Metrics,
     RunCosts,
     ViewQuality,
@@ -25,10 +28,7 @@ from toolkit.evaluation.metrics import (
     view_quality,
     write_metrics,
 )
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.stages import Column
+from toolkit.runs.evaluation.timing import StageRecorder
 
 COSTS = RunCosts(
     frames=10,

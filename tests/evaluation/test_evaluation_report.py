@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.evaluation.charts import Axes, Series, line_chart
-from toolkit.evaluation.frame_states import FrameState
-from toolkit.evaluation.loop_gallery import LoopPair, LoopPicture
-from toolkit.evaluation.loop_poses import EdgeError, edge_metrics
-from toolkit.evaluation.metrics import trajectory_metrics
-from toolkit.evaluation.report import (
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.charts import Axes, Series, line_chart
+from toolkit.runs.evaluation.frame_states import FrameState
+from toolkit.runs.evaluation.loop_gallery import LoopPair, LoopPicture
+from toolkit.runs.evaluation.loop_poses import EdgeError, edge_metrics
+from toolkit.runs.evaluation.metrics import trajectory_metrics
+from toolkit.runs.evaluation.report import (
     ReportContent,
     ReportFloorPlan,
     ReportView,
     render_report,
     write_report,
 )
-from toolkit.evaluation.timing import StageTime
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.timing import StageTime
 from toolkit.semantics.floor_plan import ClassArea
 
 

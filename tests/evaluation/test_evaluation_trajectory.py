@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.errors import DatasetError
-from toolkit.evaluation.trajectory import (
+from toolkit.base.errors import DatasetError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.trajectory import (
     absolute_trajectory_error,
     align,
     associate,
     relative_pose_error,
 )
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
 
 
 def wandering_path(seed: int, poses: int = 40) -> Trajectory:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolkit.evaluation.expected_quality import expected_metrics, shortfall_warnings
-from toolkit.evaluation.neighbouring_images import SmallView
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.runs.evaluation.expected_quality import expected_metrics, shortfall_warnings
+from toolkit.runs.evaluation.neighbouring_images import SmallView
 
 Image = NDArray[np.float32]
 

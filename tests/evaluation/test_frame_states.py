@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from toolkit.evaluation.frame_states import (
+from toolkit.runs.evaluation.frame_states import (
     FrameState,
     PartSummary,
     frame_metrics,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.evaluation.loop_poses import edge_errors, edge_metrics
-from toolkit.evaluation.options import TruthErrorOptions
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
+from toolkit.runs.evaluation.loop_poses import edge_errors, edge_metrics
+from toolkit.runs.evaluation.options import TruthErrorOptions
 
 TIMES = 0.1 * np.arange(20)
 TURN_RAD_S = 2.0

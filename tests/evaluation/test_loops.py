@@ -8,7 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.evaluation.loops import (
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.frustum import observed_points
+from toolkit.runs.evaluation.loops import (
     LoopTruthOptions,
     TrueMatches,
     TrueViews,
@@ -18,9 +21,6 @@ from toolkit.evaluation.loops import (
     score_loops,
     true_intervals,
 )
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.frustum import observed_points
 
 CAMERA = Camera(30.0, 30.0, 31.5, 23.5, 64, 48)
 ROUND = 100

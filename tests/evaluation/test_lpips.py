@@ -11,8 +11,8 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from toolkit.errors import FormatError
-from toolkit.evaluation.lpips import MIN_SIDE, Lpips
+from toolkit.base.errors import FormatError
+from toolkit.runs.evaluation.lpips import MIN_SIDE, Lpips
 
 CHANNELS = (64, 192, 384, 256, 256)
 

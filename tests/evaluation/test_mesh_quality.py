@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
-from toolkit.evaluation.meshes import Views, mesh_quality
-from toolkit.evaluation.trajectory import TrajectoryAlignment
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.io.meshes import TriangleMesh, write_mesh
+from toolkit.runs.evaluation.meshes import Views, mesh_quality
+from toolkit.runs.evaluation.trajectory import TrajectoryAlignment
 
 CAMERA = Camera(fx=50.0, fy=50.0, cx=49.5, cy=49.5, width=100, height=100)
 VIEWS = Views(CAMERA, [np.eye(4)], max_depth_m=6.0)

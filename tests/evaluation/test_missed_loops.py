@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.evaluation.loops import LoopTruthOptions, TrueViews
-from toolkit.evaluation.missed_loops import missed_loops
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry.camera import Camera
+from toolkit.runs.evaluation.loops import LoopTruthOptions, TrueViews
+from toolkit.runs.evaluation.missed_loops import missed_loops
 
 CAMERA = Camera(20.0, 20.0, 9.5, 7.5, 20, 16)
 GAP = LoopTruthOptions(min_gap_frames=4, min_gap_m=0.5)

@@ -19,9 +19,9 @@ from benchmarks.motion_cases import (
     unrelated_photos,
     with_blank_wall,
 )
+from toolkit.base.geometry import se3
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import describe
-from toolkit.geometry import se3
 
 TIMES_S = 5.0 + np.arange(300) / 30.0
 

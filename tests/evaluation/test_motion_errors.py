@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.motion_errors import motion_errors, path_m, rotation_rms_deg, scale_drift_percent
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 
 
 def curve(frames: int = 40) -> Trajectory:

@@ -12,8 +12,8 @@ from benchmarks import motion, recordings
 from benchmarks.motion_cases import CASES, CaseDataset
 from benchmarks.motion_methods import OpenCvOdometry, frame_to_frame, largest_first, semsplat
 from benchmarks.silent_errors import motion_metrics
+from toolkit.base.geometry import se3
 from toolkit.datasets.registry import describe
-from toolkit.geometry import se3
 from toolkit.synthetic_rooms import tiny_room
 
 

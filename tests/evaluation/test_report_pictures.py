@@ -10,29 +10,29 @@ import numpy as np
 import pytest
 from labelled_room import TAXONOMY
 
-from toolkit.evaluation.frame_costs import (
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.frustum import Frustum, observed_points
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.stages import Column
+from toolkit.runs.evaluation.frame_costs import (
     FrameCostRecorder,
     FrameCosts,
     memory_chart,
     time_chart,
 )
-from toolkit.evaluation.loop_gallery import LoopPair, LoopPicture, gallery_pairs
-from toolkit.evaluation.report import LevelImage, ReportContent, ReportView, render_report
-from toolkit.evaluation.submap_graph import (
+from toolkit.runs.evaluation.loop_gallery import LoopPair, LoopPicture, gallery_pairs
+from toolkit.runs.evaluation.report import LevelImage, ReportContent, ReportView, render_report
+from toolkit.runs.evaluation.submap_graph import (
     SubmapGraph,
     SubmapLink,
     SubmapViews,
     submap_graph_chart,
     submap_links,
 )
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.frustum import Frustum, observed_points
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.report_pictures import level_images
 from toolkit.semantics.palette import Palette
-from toolkit.stages import Column
 
 CAMERA = Camera(40.0, 40.0, 31.5, 23.5, 64, 48)
 NOTHING = Trajectory(np.empty(0), np.empty((0, 4, 4)))

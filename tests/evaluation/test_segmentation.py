@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import confusion_matrix, jaccard_score
 
-from toolkit.evaluation.frame_costs import gaussian_bytes
-from toolkit.evaluation.segmentation import (
+from toolkit.runs.evaluation.frame_costs import gaussian_bytes
+from toolkit.runs.evaluation.segmentation import (
     Segmentation,
     class_iou,
     confusion,

@@ -14,7 +14,7 @@ from benchmarks.silent_errors import (
     motion_metrics,
     silently_wrong,
 )
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 
 FRAMES = 12
 TRUTH = {i: se3.exp([0.1 * i, 0.02 * i**2, 0.0, 0.0, 0.1 * i, 0.05]) for i in range(FRAMES)}

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.evaluation.metrics import trajectory_metrics, truth_lines
-from toolkit.evaluation.true_poses import pose_delay, pose_scale
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.metrics import trajectory_metrics, truth_lines
+from toolkit.runs.evaluation.true_poses import pose_delay, pose_scale
 
 INTERVAL_S = 0.04
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.evaluation.images import balanced, masked_psnr_db, psnr_db
-from toolkit.evaluation.metrics import image_metrics, view_quality
+from toolkit.runs.evaluation.images import balanced, masked_psnr_db, psnr_db
+from toolkit.runs.evaluation.metrics import image_metrics, view_quality
 
 
 def view() -> np.ndarray:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.errors import FormatError
-from toolkit.evaluation.walls import wall_thickness
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.scene import InMemoryScene
-from toolkit.geometry import se3
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry import se3
 from toolkit.io.meshes import TriangleMesh, write_mesh
+from toolkit.runs.evaluation.walls import wall_thickness
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.gaussians.scene import InMemoryScene
 
 
 @pytest.fixture(scope="module")

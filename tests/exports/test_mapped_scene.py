@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from layout_run import T_MAP_WORLD, changed, layout_run, make_run
 
-from toolkit.errors import SettingsError
+from toolkit.base.errors import SettingsError
+from toolkit.base.geometry import se3
 from toolkit.exports.map_changes import changes_between
 from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
-from toolkit.geometry import se3
 from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
 
 OPTIONS = ObjectGraphOptions(link_m=0.2, min_gaussians=20)

@@ -9,14 +9,14 @@ import pytest
 from layout_run import T_MAP_WORLD, TAXONOMY
 from two_storeys import AREAS_M2, DOOR_M, STOREY_M, VISITED, house_run
 
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.exports.building import views_on
 from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions, PlanOptions
 from toolkit.exports.plans import export_floor_plan
 from toolkit.exports.scene_graph import scene_graph
 from toolkit.exports.selection import select
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_rgb
 from toolkit.io.length_names import METRES
 from toolkit.runs.report_pictures import report_floor_plan
@@ -24,7 +24,7 @@ from toolkit.runs.visibility import KeyframeViews
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.paths import NoPathError
 from toolkit.semantics.storeys import Floors, Storeys
-from toolkit.viewer.shown_objects import shown_objects
+from toolkit.tools.viewer.shown_objects import shown_objects
 
 OPTIONS = ObjectGraphOptions(link_m=0.2, min_gaussians=20)
 

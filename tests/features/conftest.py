@@ -6,7 +6,7 @@ import pytest
 import torch
 from places import place
 
-from toolkit.features.builtin import BuiltinEncoder, ColourHistogramEncoder
+from toolkit.semantics.features.builtin import BuiltinEncoder, ColourHistogramEncoder
 
 
 @pytest.fixture(params=["builtin", "colour-histogram", "dinov2-class", "dinov2-mean"])
@@ -15,7 +15,7 @@ def encoder(request):
         return BuiltinEncoder()
     if request.param == "colour-histogram":
         return ColourHistogramEncoder()
-    from toolkit.features.dinov2 import Dinov2Encoder
+    from toolkit.semantics.features.dinov2 import Dinov2Encoder
 
     folder = request.getfixturevalue("tiny_dinov2")
     return Dinov2Encoder(folder, request.param.split("-")[1], longest_side=40, device="cpu")

@@ -8,11 +8,11 @@ import sys
 import pytest
 import torch
 
-from toolkit.errors import DependencyError, FormatError, SettingsError
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.factory import build_describer, build_encoder
-from toolkit.features.options import FeatureOptions
-from toolkit.features.sources import ViewDescriber
+from toolkit.base.errors import DependencyError, FormatError, SettingsError
+from toolkit.semantics.features.builtin import BuiltinEncoder
+from toolkit.semantics.features.factory import build_describer, build_encoder
+from toolkit.semantics.features.options import FeatureOptions
+from toolkit.semantics.features.sources import ViewDescriber
 
 
 @pytest.fixture(autouse=True)
@@ -62,7 +62,7 @@ def test_dinov2_from_settings(tiny_dinov2, views):
 
 def test_tokens_agree_with_transformers(tiny_dinov2, views):
     transformers = pytest.importorskip("transformers")
-    from toolkit.features.dinov2 import Dinov2Encoder
+    from toolkit.semantics.features.dinov2 import Dinov2Encoder
 
     model = transformers.AutoModel.from_pretrained(tiny_dinov2)
     images = views[:, :, :56, :80]  # a multiple of the patch size, so images are not scaled
@@ -99,7 +99,7 @@ def test_error_for_missing_transformers_names_the_command(tiny_dinov2, monkeypat
 
 def test_error_for_a_missing_class_token_suggests_mean_pooling(tmp_path, views):
     transformers = pytest.importorskip("transformers")
-    from toolkit.features.dinov2 import Dinov2Encoder
+    from toolkit.semantics.features.dinov2 import Dinov2Encoder
 
     torch.manual_seed(0)
     config = transformers.SiglipVisionConfig(

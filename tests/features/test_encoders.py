@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import place
 
-from toolkit.features.builtin import BuiltinEncoder, ColourHistogramEncoder
+from toolkit.semantics.features.builtin import BuiltinEncoder, ColourHistogramEncoder
 
 
 def test_descriptors_are_unit_vectors_of_the_stated_dimension(encoder, views):

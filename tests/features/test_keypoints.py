@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from toolkit.features.keypoints import (
+from toolkit.semantics.features.keypoints import (
     Keypoints,
     detect_keypoints,
     match_keypoints,

@@ -11,8 +11,8 @@ import pytest
 import torch
 from tiny_models import SIDE, save_clip, save_siglip
 
-from toolkit.errors import FormatError
-from toolkit.features.pretrained.text_image import TextImageEncoder
+from toolkit.base.errors import FormatError
+from toolkit.semantics.features.pretrained.text_image import TextImageEncoder
 
 transformers = pytest.importorskip("transformers")
 

@@ -7,10 +7,10 @@ import pytest
 import torch
 from places import place
 
-from toolkit.features.encoder import Encoder
-from toolkit.features.factory import build_differentiable_describer
-from toolkit.features.options import FeatureOptions
-from toolkit.features.vlad import VladEncoder, root_sift, vocabulary
+from toolkit.semantics.features.encoder import Encoder
+from toolkit.semantics.features.factory import build_differentiable_describer
+from toolkit.semantics.features.options import FeatureOptions
+from toolkit.semantics.features.vlad import VladEncoder, root_sift, vocabulary
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.gaussians.allocation import (
+from toolkit.splatting.gaussians.allocation import (
     choose_pixels,
     pixels_per_class,
     printed_pixels_per_class,

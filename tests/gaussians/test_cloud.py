@@ -10,9 +10,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.gaussians.cloud import NO_LOW_PASS, PARAMETERS, PIXEL_FILTER, GaussianCloud
-from toolkit.gaussians.ellipsoids import Ellipsoids
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
+from toolkit.splatting.gaussians.cloud import NO_LOW_PASS, PARAMETERS, PIXEL_FILTER, GaussianCloud
+from toolkit.splatting.gaussians.ellipsoids import Ellipsoids
 
 
 def random_cloud(seed: int = 0, count: int = 8, channels: int = 3) -> GaussianCloud:

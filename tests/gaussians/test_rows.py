@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from toolkit.gaussians.rows import append_rows, select_rows
+from toolkit.splatting.gaussians.rows import append_rows, select_rows
 
 
 @pytest.mark.parametrize("shape", [(), (3,), (0,)])

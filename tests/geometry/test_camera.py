@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.errors import SettingsError
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import SettingsError
+from toolkit.base.geometry.camera import Camera
 
 PROFILE = settings(deadline=None, max_examples=50)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.depth_lookup import depths_at
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.depth_lookup import depths_at
 
 CAMERA = Camera(fx=10.0, fy=20.0, cx=3.0, cy=2.0, width=8, height=5)
 

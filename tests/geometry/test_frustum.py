@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.frustum import (
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.frustum import (
     Frustum,
     contained_fraction,
     far_depth_m,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.geometry import open3d_bridge
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.frustum import inside_frustum
+from toolkit.base.geometry import open3d_bridge
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.frustum import inside_frustum
 
 CAMERA = Camera(50.0, 48.0, 31.5, 22.0, 64, 48)
 
@@ -56,6 +56,6 @@ def test_without_open3d_the_error_names_the_package(monkeypatch):
     def missing():
         raise open3d_bridge.DependencyError("Open3D cannot be loaded")
 
-    monkeypatch.setattr("toolkit.geometry.frustum.open3d", missing)
+    monkeypatch.setattr("toolkit.base.geometry.frustum.open3d", missing)
     with pytest.raises(open3d_bridge.DependencyError, match="Open3D cannot be loaded"):
         inside_frustum(CAMERA, np.array([on_ray(30, 20, 1.0)]))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.geometry.image_sides import (
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.image_sides import (
     SIDES,
     mean_up,
     nearest_side,

@@ -7,8 +7,8 @@ import os
 
 import pytest
 
-from toolkit.errors import DependencyError
-from toolkit.geometry import open3d_bridge
+from toolkit.base.errors import DependencyError
+from toolkit.base.geometry import open3d_bridge
 
 
 @pytest.mark.parametrize(

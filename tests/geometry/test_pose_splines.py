@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.geometry.pose_splines import pose_spline, thinned
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.pose_splines import pose_spline, thinned
 
 
 def some_poses(count: int, seed: int = 0) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolkit.geometry.regions import connected_regions
+from toolkit.base.geometry.regions import connected_regions
 
 CLASS_IDS = np.array(
     [

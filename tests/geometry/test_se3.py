@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 
 Array = NDArray[np.float64]
 PROFILE = settings(deadline=None, max_examples=60)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.errors import FormatError
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 
 seeds = st.integers(0, 2**32 - 1)
 

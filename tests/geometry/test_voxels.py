@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from toolkit.geometry.voxels import voxel_keys, voxels_of, voxels_of_keys
+from toolkit.base.geometry.voxels import voxel_keys, voxels_of, voxels_of_keys
 
 
 def test_points_are_in_their_voxels():

@@ -10,14 +10,14 @@ import pytest
 from box_room import CEILING, CRATE, CUPBOARD, FLOOR, OBJECT, SURFACE, WALL, walk
 from one_submap import OneSubmap, grown, labelled_keyframe
 
-from toolkit.geometry import se3
-from toolkit.growing_scene.growing import GrowingScene
-from toolkit.growing_scene.objects import Fragment
-from toolkit.instances.masks import InstanceMasks
-from toolkit.instances.options import InstanceOptions
-from toolkit.instances.tracking import InstanceTracker
-from toolkit.keyframe import Keyframe
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.growing_scene.growing import GrowingScene
+from toolkit.slam.growing_scene.objects import Fragment
+from toolkit.slam.instances.masks import InstanceMasks
+from toolkit.slam.instances.options import InstanceOptions
+from toolkit.slam.instances.tracking import InstanceTracker
 
 NAMES = {FLOOR: "floor", WALL: "wall", CEILING: "ceiling", SURFACE: "table", OBJECT: "cabinet"}
 CLASSES = tuple(NAMES[k] for k in sorted(NAMES))

@@ -11,15 +11,15 @@ from labelled_room import chair, table
 from one_submap import OneSubmap, grown, labelled_keyframe
 from two_storeys import AREAS_M2, STOREY_M, VISITED, points_of
 
-from toolkit.geometry import se3
-from toolkit.growing_scene.growing import GrowingScene
-from toolkit.growing_scene.live_relations import LiveRelations
-from toolkit.growing_scene.rooms import GrowingBuilding
-from toolkit.keyframe import Keyframe
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.relations import Relation
 from toolkit.semantics.storeys import Floors, Storeys
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.growing_scene.growing import GrowingScene
+from toolkit.slam.growing_scene.live_relations import LiveRelations
+from toolkit.slam.growing_scene.rooms import GrowingBuilding
 
 NAMES = {FLOOR: "floor", WALL: "wall", CEILING: "ceiling", SURFACE: "table", OBJECT: "cabinet"}
 CLASSES = tuple(NAMES[k] for k in sorted(NAMES))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from panels import Scripted, keyframe, of_ids, panel_image, tracked
 
-from toolkit.errors import DatasetError
-from toolkit.instances.embeddings import MAX_VIEWS, ViewEmbeddings
-from toolkit.instances.masks import InstanceMasks
-from toolkit.instances.options import InstanceOptions
-from toolkit.instances.tracking import InstanceTracker
+from toolkit.base.errors import DatasetError
+from toolkit.slam.instances.embeddings import MAX_VIEWS, ViewEmbeddings
+from toolkit.slam.instances.masks import InstanceMasks
+from toolkit.slam.instances.options import InstanceOptions
+from toolkit.slam.instances.tracking import InstanceTracker
 
 AXES = np.eye(4, dtype=np.float32)
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.errors import DatasetError, FormatError
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
-from toolkit.instances.ignoring import IgnoredMasks, IgnoredTexts, MeantClasses, NearestTexts
-from toolkit.instances.masks import InstanceMasks
-from toolkit.instances.options import InstanceOptions
-from toolkit.instances.tracking import InstanceTracker
-from toolkit.keyframe import Keyframe
+from toolkit.base.errors import DatasetError, FormatError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.labeller import without_pixels
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.instances.ignoring import IgnoredMasks, IgnoredTexts, MeantClasses, NearestTexts
+from toolkit.slam.instances.masks import InstanceMasks
+from toolkit.slam.instances.options import InstanceOptions
+from toolkit.slam.instances.tracking import InstanceTracker
 
 CAMERA = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
 TAXONOMY = Taxonomy({"furniture": ["chair", "sofa"], "structure": ["wall", "floor"]})

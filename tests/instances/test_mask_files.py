@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panels import keyframe, panel_image
 
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.instances.coco import CocoMasks
-from toolkit.instances.factory import build_instances
-from toolkit.instances.mask_images import MaskImageFolder
-from toolkit.instances.options import InstanceOptions
-from toolkit.instances.rle import decoded_mask
+from toolkit.base.errors import DatasetError, SettingsError
 from toolkit.io.images import write_png
+from toolkit.slam.instances.coco import CocoMasks
+from toolkit.slam.instances.factory import build_instances
+from toolkit.slam.instances.mask_images import MaskImageFolder
+from toolkit.slam.instances.options import InstanceOptions
+from toolkit.slam.instances.rle import decoded_mask
 
 
 @pytest.fixture

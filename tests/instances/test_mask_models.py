@@ -13,13 +13,13 @@ import tiny_mask_models
 import torch
 from panels import CAMERA, DISTANCE_M, keyframe
 
-from toolkit.errors import DependencyError, FormatError, SettingsError
-from toolkit.features.pretrained.preprocessing import ImagePreprocessing
-from toolkit.instances.factory import build_instances
-from toolkit.instances.models.factory import model_masks
-from toolkit.instances.models.grounding_dino import box_mask
-from toolkit.instances.models.layers import layered
-from toolkit.instances.options import InstanceModelOptions, InstanceOptions
+from toolkit.base.errors import DependencyError, FormatError, SettingsError
+from toolkit.semantics.features.pretrained.preprocessing import ImagePreprocessing
+from toolkit.slam.instances.factory import build_instances
+from toolkit.slam.instances.models.factory import model_masks
+from toolkit.slam.instances.models.grounding_dino import box_mask
+from toolkit.slam.instances.models.layers import layered
+from toolkit.slam.instances.options import InstanceModelOptions, InstanceOptions
 
 pytest.importorskip("transformers")
 

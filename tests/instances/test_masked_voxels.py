@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panels import CAMERA, keyframe, panel_image
 
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.voxels import voxel_keys, voxels_of
-from toolkit.instances.geometric import GeometricMasks
-from toolkit.instances.voxels import MaskedVoxels, VoxelVotes, sampled, sampling_step
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.voxels import voxel_keys, voxels_of
+from toolkit.slam.instances.geometric import GeometricMasks
+from toolkit.slam.instances.voxels import MaskedVoxels, VoxelVotes, sampled, sampling_step
 
 
 def votes_of(rounds: list[list[tuple[int, int]]]) -> VoxelVotes:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.ellipsoids import Ellipsoids
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.gaussians.ellipsoids import Ellipsoids
 
 
 @pytest.fixture

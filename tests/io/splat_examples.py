@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from toolkit.gaussians.cloud import PIXEL_FILTER, GaussianCloud
-from toolkit.gaussians.ellipsoids import Ellipsoids
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.io.splat_placement import SplatScene
 from toolkit.io.splats import Splats
-from toolkit.rendering import render
+from toolkit.splatting.gaussians.cloud import PIXEL_FILTER, GaussianCloud
+from toolkit.splatting.gaussians.ellipsoids import Ellipsoids
+from toolkit.splatting.rendering import render
 
 COUNT = 40
 # A floor that is not level in the frame of the map, far from the origin.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError, RunFolderError
+from toolkit.base.errors import FormatError, RunFolderError
 from toolkit.io import arrays
 from toolkit.io.arrays import (
     JoinedArrays,

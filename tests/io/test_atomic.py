@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.errors import RunFolderError
+from toolkit.base.errors import RunFolderError
 from toolkit.io.atomic import replacing, write_bytes, write_text
 from toolkit.io.meshes import TriangleMesh, write_mesh, write_points
 

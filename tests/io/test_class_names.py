@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from toolkit.errors import DatasetError
+from toolkit.base.errors import DatasetError
 from toolkit.io.class_names import read_class_names
 
 

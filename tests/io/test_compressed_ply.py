@@ -7,7 +7,7 @@ import base64
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.splats import read_splats
 from toolkit.runs.splat_clouds import read_cloud
 

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from toolkit.errors import DependencyError
+from toolkit.base.errors import DependencyError
 from toolkit.io.gltf import MeshPart, write_gltf
 from toolkit.io.meshes import TriangleMesh
 

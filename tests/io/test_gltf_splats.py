@@ -29,9 +29,8 @@ from splat_examples import (
     spheres,
 )
 
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
-from toolkit.geometry import se3
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.base.geometry import se3
 from toolkit.io.splat_placement import HALF_TURN
 from toolkit.io.splats import (
     export_splat_scene,
@@ -41,6 +40,7 @@ from toolkit.io.splats import (
     write_splat_ply,
 )
 from toolkit.runs.splat_clouds import read_cloud
+from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
 
 KHR = "KHR_gaussian_splatting"
 SH0 = f"{KHR}:SH_DEGREE_0_COEF_0"

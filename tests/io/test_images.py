@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from toolkit.errors import DatasetError, DependencyError, RunFolderError
+from toolkit.base.errors import DatasetError, DependencyError, RunFolderError
 from toolkit.io import images
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.splats import read_splats
 
 BLOCK_M, RANGE, BUCKET = 5.0, 32767, 4

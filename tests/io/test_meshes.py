@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError, RunFolderError, ToolkitError
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.errors import FormatError, RunFolderError, ToolkitError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.meshes import PosedDepth, TriangleMesh, fuse_views, write_mesh, write_points
 
 CAMERA = Camera(70.0, 70.0, 39.5, 29.5, 80, 60)

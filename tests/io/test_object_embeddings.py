@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.object_embeddings import (
     CompressedEmbeddings,
     ObjectEmbeddings,

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.pose_graph_files import PoseGraphArrays, read_pose_graph
-from toolkit.errors import DatasetError, FormatError
-from toolkit.geometry import se3
+from toolkit.base.errors import DatasetError, FormatError
+from toolkit.base.geometry import se3
 from toolkit.io.covariances import read_covariances, write_covariances
 
 TRIANGLE = " ".join(str(k) for k in range(1, 22))

@@ -7,7 +7,7 @@ import logging
 
 import pytest
 
-from toolkit.io.printable import PrintableFormatter, PrintableStream, printable
+from toolkit.base.printable import PrintableFormatter, PrintableStream, printable
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import pytest
 import torch
 from PIL import Image
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.splats import export_splats, read_splats
 
 N = 5

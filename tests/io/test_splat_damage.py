@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from tests.io.splat_examples import COUNT, ellipsoids, labels, one_line
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.label_files import label_file_of
 from toolkit.io.splats import export_splats, read_splats
 

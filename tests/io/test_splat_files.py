@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.errors import DatasetError, FormatError, RunFolderError
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, PIXEL_FILTER, GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import DatasetError, FormatError, RunFolderError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.io import splats
 from toolkit.io.splat_scenes import SCENE_SUFFIXES
-from toolkit.rendering import render
 from toolkit.runs.splat_clouds import read_cloud
+from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS, PIXEL_FILTER, GaussianCloud
+from toolkit.splatting.rendering import render
 
 # Tests of glTF and USD are in their own files.
 WRITTEN = (*(s for s in splats.WRITTEN_SUFFIXES if s not in SCENE_SUFFIXES), ".compressed.ply")

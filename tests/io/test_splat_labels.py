@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.errors import FormatError
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.base.errors import FormatError
 from toolkit.io.splat_labels import SplatLabels, instances_in
 from toolkit.io.splats import read_splats, write_splat_ply
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 N = 40
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.errors import RunFolderError
-from toolkit.gaussians.cloud import GaussianCloud
+from toolkit.base.errors import RunFolderError
 from toolkit.io.splat_parts import write_splat_parts
 from toolkit.io.splats import write_splat_ply
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 
 def cloud(count, seed):

@@ -6,8 +6,8 @@ import struct
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io import splats
 
 VERSIONS = (2, 3, 4)

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from toolkit.errors import DependencyError, FormatError, RunFolderError
+from toolkit.base.errors import DependencyError, FormatError, RunFolderError
 from toolkit.io import storage
 
 

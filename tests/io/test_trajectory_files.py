@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.errors import DatasetError, FormatError
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.errors import DatasetError, FormatError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.io import trajectories
 
 

@@ -25,9 +25,8 @@ from splat_examples import (
     spheres,
 )
 
-from toolkit.errors import DependencyError, FormatError, RunFolderError
-from toolkit.gaussians.cloud import LOW_PASS_3DGS
-from toolkit.geometry import se3
+from toolkit.base.errors import DependencyError, FormatError, RunFolderError
+from toolkit.base.geometry import se3
 from toolkit.io.splat_placement import HALF_TURN
 from toolkit.io.splats import (
     export_splat_scene,
@@ -37,6 +36,7 @@ from toolkit.io.splats import (
     write_splat_ply,
 )
 from toolkit.runs.splat_clouds import read_cloud
+from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS
 
 pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'semsplat[usd]'")
 

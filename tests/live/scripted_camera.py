@@ -6,10 +6,10 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import RecordedDataset
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
-from toolkit.live.camera import CapturedFrame
+from toolkit.runs.live.camera import CapturedFrame
 from toolkit.synthetic_rooms import tiny_room
 
 

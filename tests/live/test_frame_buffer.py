@@ -7,9 +7,9 @@ import threading
 import pytest
 from scripted_camera import room_frames
 
-from toolkit.errors import CameraError
-from toolkit.live.buffer import Delivery, FrameBuffer
-from toolkit.live.camera import CapturedFrame
+from toolkit.base.errors import CameraError
+from toolkit.runs.live.buffer import Delivery, FrameBuffer
+from toolkit.runs.live.camera import CapturedFrame
 
 FRAMES = room_frames(5)
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scripted_camera import ScriptedCamera, room_frames
 
+from toolkit.base.errors import CameraError, RunFolderError
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.resize import ImageGrid
-from toolkit.errors import CameraError, RunFolderError
-from toolkit.live.feed import FeedOptions, LiveFeed
-from toolkit.live.frame_writer import FrameWriter
+from toolkit.runs.live.feed import FeedOptions, LiveFeed
+from toolkit.runs.live.frame_writer import FrameWriter
 
 FRAMES = room_frames(4)
 

@@ -18,31 +18,31 @@ import pytest
 from browser_pages import WatchedPage, chromium
 from scripted_camera import ScriptedCamera, room_frames
 
-from toolkit.cli.live import stopped_by_signals
-from toolkit.cli.main import main
+from toolkit.base.errors import CameraError, DatasetError, RunFolderError
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import CameraError, DatasetError, RunFolderError
-from toolkit.growing_scene.options import GrowingSceneOptions
 from toolkit.io.images import write_depth_png
-from toolkit.live import frame_writer
-from toolkit.live.execution import LiveHooks, run_live
-from toolkit.live.options import LiveOptions
-from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.runs import snapshots
 from toolkit.runs.finished import load_run
+from toolkit.runs.live import frame_writer
+from toolkit.runs.live.execution import LiveHooks, run_live
+from toolkit.runs.live.options import LiveOptions
 from toolkit.runs.settings import RunSettings
 from toolkit.runs.stopping import StopSignals
-from toolkit.viewer.html import write_page
-from toolkit.viewer.live import LiveRun
-from toolkit.viewer.options import ShownContent
-from toolkit.viewer.scene import ViewerScene
+from toolkit.slam.growing_scene.options import GrowingSceneOptions
+from toolkit.slam.mapping.options import KeyframePolicy, MapperOptions
+from toolkit.tools.cli.live import stopped_by_signals
+from toolkit.tools.cli.main import main
+from toolkit.tools.viewer.html import write_page
+from toolkit.tools.viewer.live import LiveRun
+from toolkit.tools.viewer.options import ShownContent
+from toolkit.tools.viewer.scene import ViewerScene
 
 QUICK = MapperOptions(
     first_iterations=4, iterations=1, final_iterations=1, keyframes=KeyframePolicy(interval=1)
 )
 SETTINGS = RunSettings(mapping=QUICK)
 FRAMES = room_frames(4)
-LIVE = [sys.executable, "-m", "toolkit.cli.main", "live"]
+LIVE = [sys.executable, "-m", "toolkit.tools.cli.main", "live"]
 
 
 class Follower:

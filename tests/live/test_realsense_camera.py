@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolkit.cli.main import main
-from toolkit.errors import CameraError, DependencyError
-from toolkit.live.realsense import RealSenseCamera
+from toolkit.base.errors import CameraError, DependencyError
+from toolkit.runs.live.realsense import RealSenseCamera
+from toolkit.tools.cli.main import main
 
 rs = pytest.importorskip("pyrealsense2", reason="pyrealsense2 is not installed")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from toolkit.datasets.registry import open_dataset
-from toolkit.live.replay import ReplayCamera
+from toolkit.runs.live.replay import ReplayCamera
 
 
 @pytest.mark.parametrize(("fps", "period_s"), [(200.0, 0.005), (None, 1 / 30)])

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.sources import ViewDescriber
-from toolkit.loops import candidates as candidates_module
-from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
-from toolkit.loops.options import CandidateOptions, LandmarkOptions
+from toolkit.semantics.features.builtin import BuiltinEncoder
+from toolkit.semantics.features.sources import ViewDescriber
+from toolkit.slam.loops import candidates as candidates_module
+from toolkit.slam.loops.candidates import CandidateFinder, DescribedKeyframe, LoopCandidate
+from toolkit.slam.loops.options import CandidateOptions, LandmarkOptions
 
 pytest.importorskip("faiss")
 

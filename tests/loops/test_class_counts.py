@@ -6,24 +6,24 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.errors import SettingsError
-from toolkit.exposure import IDENTITY
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.loops.class_counts import GaussianClassCounter, PixelClassCounter
-from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
-from toolkit.loops.closing.options import LoopClosureOptions
-from toolkit.loops.options import CandidateOptions, LandmarkOptions
-from toolkit.losses.semantic import SemanticLoss
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.rendering import backend
+from toolkit.base.errors import SettingsError
+from toolkit.base.exposure import IDENTITY
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.codes import flat_code
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.submaps.atlas import Atlas
+from toolkit.slam.loops.class_counts import GaussianClassCounter, PixelClassCounter
+from toolkit.slam.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.slam.loops.closing.options import LoopClosureOptions
+from toolkit.slam.loops.options import CandidateOptions, LandmarkOptions
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.losses.semantic import SemanticLoss
+from toolkit.splatting.rendering import backend
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.loops.constellations import Constellation, closest_view, match_constellations
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.constellations import Constellation, closest_view, match_constellations
 
 T = se3.exp(np.array([1.0, -0.4, 0.2, 0.3, -0.8, 0.1]))
 CENTRES_M = np.array(

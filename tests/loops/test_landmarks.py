@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.loops.landmarks import (
+from toolkit.slam.loops.landmarks import (
     keyframe_idf,
     landmark_distance,
     landmark_vectors,
     printed_vectors,
 )
-from toolkit.loops.options import LandmarkOptions
+from toolkit.slam.loops.options import LandmarkOptions
 
 # Wall and floor everywhere; a bed in one place, a desk in another.
 WALL, FLOOR, BED, DESK, NOWHERE = range(5)

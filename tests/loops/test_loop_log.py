@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.loops.candidates import LoopCandidate
-from toolkit.loops.log import LoopLog, read_loop_log
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.slam.loops.candidates import LoopCandidate
+from toolkit.slam.loops.log import LoopLog, read_loop_log
 
 CANDIDATE = LoopCandidate(
     120, 15, 3, 0, 0.19, 0.98195, None, "rank 1 of 2 by landmarks, 1 in its submap", True

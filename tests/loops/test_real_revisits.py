@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from toolkit.base.geometry.frustum import far_depth_m, observed_points
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.loops import LoopTruthOptions, TrueViews, score_loops
-from toolkit.features.vlad import VladEncoder
-from toolkit.geometry.frustum import far_depth_m, observed_points
-from toolkit.loops.candidates import CandidateFinder, DescribedKeyframe
-from toolkit.loops.options import CandidateOptions
+from toolkit.runs.evaluation.loops import LoopTruthOptions, TrueViews, score_loops
+from toolkit.semantics.features.vlad import VladEncoder
+from toolkit.slam.loops.candidates import CandidateFinder, DescribedKeyframe
+from toolkit.slam.loops.options import CandidateOptions
 
 pytest.importorskip("faiss")
 

@@ -7,16 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from toolkit.alignment.similarity import Similarity
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.loops import relocalisation
-from toolkit.loops.candidates import SimilarKeyframe
-from toolkit.loops.options import RelocalisationOptions
-from toolkit.loops.relocalisation import Relocaliser
-from toolkit.tracking.reach import Reach
-from toolkit.tracking.result import Health
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.slam.loops import relocalisation
+from toolkit.slam.loops.candidates import SimilarKeyframe
+from toolkit.slam.loops.options import RelocalisationOptions
+from toolkit.slam.loops.relocalisation import Relocaliser
+from toolkit.slam.tracking.reach import Reach
+from toolkit.slam.tracking.result import Health
+from toolkit.splatting.alignment.similarity import Similarity
 
 CAMERA = Camera(20.0, 20.0, 7.5, 5.5, 16, 12)
 # Keyframes by index, in one submap: metres from its origin along x.

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.errors import DependencyError
-from toolkit.loops import retrieval
-from toolkit.loops.retrieval import DescriptorIndex
+from toolkit.base.errors import DependencyError
+from toolkit.slam.loops import retrieval
+from toolkit.slam.loops.retrieval import DescriptorIndex
 
 pytest.importorskip("faiss")
 D = 16

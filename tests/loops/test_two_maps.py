@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.alignment.data import ResidualScales
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.loops.registration.result import RegistrationResult, failed
-from toolkit.loops.two_maps import (
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.registration.result import RegistrationResult, failed
+from toolkit.slam.loops.two_maps import (
     MapRegistration,
     SubmapPair,
     most_similar_submaps,
     register_submaps,
     select_registration,
 )
-from toolkit.submaps.submap import Submap
+from toolkit.slam.submaps.submap import Submap
+from toolkit.splatting.alignment.data import ResidualScales
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 
 def submap(number, rows, T_world_submap=None):

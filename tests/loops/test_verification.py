@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.alignment.data import ResidualScales
-from toolkit.loops.registration.result import RegistrationResult
-from toolkit.loops.verification import VerificationLimits, rejection_reason
+from toolkit.slam.loops.registration.result import RegistrationResult
+from toolkit.slam.loops.verification import VerificationLimits, rejection_reason
+from toolkit.splatting.alignment.data import ResidualScales
 
 GOOD = RegistrationResult(
     np.eye(4), True, 0.9, ResidualScales(0.02, 0.005), 0.6, 0.9, np.eye(6) * 1e6, 1, 1, "test"

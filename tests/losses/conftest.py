@@ -6,8 +6,8 @@ from types import ModuleType
 
 import pytest
 
-from toolkit.losses import photometric
-from toolkit.native import available_instruction_sets, load_variant
+from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.splatting.losses import photometric
 
 
 @pytest.fixture(params=[*available_instruction_sets(), "torch"])

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 from torchmetrics.functional.image import structural_similarity_index_measure
 
-from toolkit.geometry.camera import Camera
-from toolkit.losses.options import RgbdLossWeights
-from toolkit.losses.photometric import mean_ssim, rgbd_loss, ssim_torch
-from toolkit.rendering import SurfaceView
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.losses.options import RgbdLossWeights
+from toolkit.splatting.losses.photometric import mean_ssim, rgbd_loss, ssim_torch
+from toolkit.splatting.rendering import SurfaceView
 
 PLACE = Camera(40.0, 41.0, 20.0, 17.0, 45, 37), np.eye(4)  # of a view; the losses use neither
 SIZES = [(37, 45), (16, 16), (11, 64), (5, 3), (1, 1)]

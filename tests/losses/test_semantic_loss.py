@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.losses import semantic
-from toolkit.losses.photometric import ssim_torch
-from toolkit.losses.semantic import SemanticLoss, semantic_loss_torch
-from toolkit.mapping.semantic_mapping import build_semantic_mapping
-from toolkit.native import available_instruction_sets, load_variant
+from toolkit.base.native import available_instruction_sets, load_variant
 from toolkit.semantics.codes import ColourCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.factory import build_code
@@ -21,6 +17,10 @@ from toolkit.semantics.options import (
     SemanticsOptions,
 )
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
+from toolkit.splatting.losses import semantic
+from toolkit.splatting.losses.photometric import ssim_torch
+from toolkit.splatting.losses.semantic import SemanticLoss, semantic_loss_torch
 
 TREE = Taxonomy(
     {

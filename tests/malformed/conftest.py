@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from folder_content import content_of
 
-from toolkit.cli.main import main
+from toolkit.tools.cli.main import main
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import corruptions as damage
 import numpy as np
 import pytest
 
-from toolkit.cli.main import main
+from toolkit.tools.cli.main import main
 
 JOBS = {
     "run": "run --dataset.kind folder --dataset.path data --out out",

@@ -27,7 +27,7 @@ COMMANDS = [
 def test_a_process_prints_one_line(place, command):
     before = content_of(place)
     done = subprocess.run(
-        [sys.executable, "-m", "toolkit.cli.main", *command.split()],
+        [sys.executable, "-m", "toolkit.tools.cli.main", *command.split()],
         cwd=place,
         env=os.environ | {"PYTHONPATH": os.getcwd(), "OMP_NUM_THREADS": "1"},
         capture_output=True,

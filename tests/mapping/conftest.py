@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.mapping import hidden_gaussians
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.slam.mapping import hidden_gaussians
 from toolkit.synthetic_rooms import tiny_room
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from mapped_submap import MappedSubmap
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.rendering import render
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.splatting.rendering import render
 
 
 def fed(mapper: MappedSubmap, room: Any, numbers: Iterable[int]) -> MappedSubmap:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.exposure import Exposure
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.compared_views import ComparedViews
-from toolkit.submaps.intermediate_views import IntermediateView
+from toolkit.base.exposure import Exposure
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.compared_views import ComparedViews
+from toolkit.slam.submaps.intermediate_views import IntermediateView
 
 _CAMERA = Camera(40.0, 40.0, 23.5, 15.5, 48, 32)
 _T_KEYFRAME_CAMERA = se3.exp([0.1, 0.0, 0.2, 0.0, 0.1, 0.0])

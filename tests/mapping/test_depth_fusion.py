@@ -9,15 +9,15 @@ import pytest
 import torch
 from mapped_submap import MappedSubmap
 
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.mapping import depth_fusion
-from toolkit.mapping.depth_fusion import MeasuredCentres, fuse_depth, measured_centres
-from toolkit.mapping.options import MapperOptions
-from toolkit.native import available_instruction_sets, load_variant
-from toolkit.submaps.submap import Submap
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.slam.mapping import depth_fusion
+from toolkit.slam.mapping.depth_fusion import MeasuredCentres, fuse_depth, measured_centres
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.submaps.submap import Submap
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 CAMERA = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=19.5, cy=14.5)
 WALL_M = 4.0

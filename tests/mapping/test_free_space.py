@@ -10,17 +10,17 @@ import torch
 from mapped_submap import MappedSubmap
 
 from tests.mapping.conftest import MappedRoom
-from toolkit.evaluation.free_space import free_space_metrics
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.scene import InMemoryScene
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.mapping import depth_views, free_space
-from toolkit.mapping.depth_views import DepthView, DepthViews, depth_confidence, empty_depth
-from toolkit.mapping.free_space import Evidence, FreeSpace, hides_view, is_measured
-from toolkit.mapping.options import MapperOptions
-from toolkit.native import available_instruction_sets, load_variant
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.runs.evaluation.free_space import free_space_metrics
+from toolkit.slam.mapping import depth_views, free_space
+from toolkit.slam.mapping.depth_views import DepthView, DepthViews, depth_confidence, empty_depth
+from toolkit.slam.mapping.free_space import Evidence, FreeSpace, hides_view, is_measured
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.gaussians.scene import InMemoryScene
 
 CAMERA = Camera(40.0, 40.0, 20.0, 15.0, 40, 30)
 

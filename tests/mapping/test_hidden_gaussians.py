@@ -10,14 +10,14 @@ import torch
 from mapped_submap import MappedSubmap
 
 from tests.mapping.conftest import MappedRoom
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.ellipsoids import Ellipsoids
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.hidden_gaussians import hidden
-from toolkit.mapping.options import MapperOptions
-from toolkit.rendering import backend
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.hidden_gaussians import hidden
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.gaussians.ellipsoids import Ellipsoids
+from toolkit.splatting.rendering import backend
 
 CAMERA = Camera(40.0, 40.0, 19.5, 14.5, 40, 30)
 

@@ -10,20 +10,20 @@ import torch
 from mapped_submap import MappedSubmap
 
 from tests.mapping.conftest import MappedRoom
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.depth_views import DepthView
-from toolkit.mapping.hole_filling import (
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.depth_views import DepthView
+from toolkit.slam.mapping.hole_filling import (
     _nearest_labels,
     _outside_free_space,
     fill_all_holes,
     fill_holes,
     inferred_depth,
 )
-from toolkit.mapping.options import MapperOptions
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 OPTIONS = MapperOptions(first_iterations=5, iterations=2, final_iterations=2)
 HOLE = np.s_[20:40, 30:55]

@@ -10,12 +10,12 @@ import torch
 from mapped_submap import MappedSubmap
 from painted_box import box_frames
 
-from toolkit.frame import Frame
-from toolkit.keyframe import Keyframe
-from toolkit.losses.options import RgbdLossWeights
-from toolkit.losses.photometric import by_observed_depth, rgbd_loss_torch, weigh_depth
-from toolkit.mapping.options import DepthAdjustmentOptions, MapperOptions
-from toolkit.native.constants import DEPTH_SUM, SILHOUETTE
+from toolkit.base.frame import Frame
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.native.constants import DEPTH_SUM, SILHOUETTE
+from toolkit.slam.mapping.options import DepthAdjustmentOptions, MapperOptions
+from toolkit.splatting.losses.options import RgbdLossWeights
+from toolkit.splatting.losses.photometric import by_observed_depth, rgbd_loss_torch, weigh_depth
 
 SHAPE = (24, 32)
 DEPTH_ONLY = RgbdLossWeights(colour=0.0, silhouette=0.0, structure=0.0)

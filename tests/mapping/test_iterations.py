@@ -7,9 +7,9 @@ import pytest
 from mapped_submap import MappedSubmap
 
 from tests.painted_box import box_frames, path
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.effort import Effort
-from toolkit.mapping.options import MapperOptions
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.effort import Effort
+from toolkit.slam.mapping.options import MapperOptions
 
 
 def steps_taken(losses: list[float], minimum: int = 3, maximum: int = 12) -> int:

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from tests.painted_box import box_frames, path
-from toolkit.exposure import NEUTRAL, Exposure
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.mapping import keyframe_exposures
-from toolkit.mapping.keyframe_exposures import KeyframeExposures
-from toolkit.native import available_instruction_sets, load_variant
+from toolkit.base.exposure import NEUTRAL, Exposure
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.slam.mapping import keyframe_exposures
+from toolkit.slam.mapping.keyframe_exposures import KeyframeExposures
 
 POSES = path(12)
 FRAMES = box_frames(POSES, 160, 120)

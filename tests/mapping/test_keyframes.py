@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.exposure import Exposure
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.keyframes import choose_window, is_revisit, seen_fraction
-from toolkit.mapping.options import KeyframePolicy
+from toolkit.base.exposure import Exposure
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.keyframes import choose_window, is_revisit, seen_fraction
+from toolkit.slam.mapping.options import KeyframePolicy
 
 CAMERA = Camera(40.0, 40.0, 31.5, 23.5, 64, 48)
 

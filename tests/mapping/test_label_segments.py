@@ -8,7 +8,7 @@ import numpy as np
 
 import toolkit
 from toolkit.io.images import write_png
-from toolkit.mapping.consensus import connected_segments
+from toolkit.slam.mapping.consensus import connected_segments
 
 
 def test_every_connected_area_is_one_segment_of_its_class():

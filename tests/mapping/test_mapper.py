@@ -11,17 +11,17 @@ import torch
 from mapped_room import depth_error_m, fed, psnr_db, same_bits
 from mapped_submap import MappedSubmap
 
-from toolkit.exposure import Exposure
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.keyframe import Keyframe
-from toolkit.losses import photometric
-from toolkit.mapping import optimisation, sparse_adam
-from toolkit.mapping.densification import prune_mask
-from toolkit.mapping.options import KeyframePolicy, MapperOptions
-from toolkit.mapping.surfaces import Surfaces
-from toolkit.rendering import surface
-from toolkit.rendering.texture import resample_at_centres
+from toolkit.base.exposure import Exposure
+from toolkit.base.keyframe import Keyframe
+from toolkit.semantics.features.builtin import BuiltinEncoder
+from toolkit.slam.mapping import optimisation, sparse_adam
+from toolkit.slam.mapping.densification import prune_mask
+from toolkit.slam.mapping.options import KeyframePolicy, MapperOptions
+from toolkit.slam.mapping.surfaces import Surfaces
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.losses import photometric
+from toolkit.splatting.rendering import surface
+from toolkit.splatting.rendering.texture import resample_at_centres
 
 UNTOUCHED = MapperOptions(iterations=0, first_iterations=0, final_iterations=0)
 FEW = MapperOptions(iterations=4, first_iterations=8, final_iterations=1)

@@ -10,19 +10,19 @@ import torch
 from mapped_room import fed, same_bits
 from mapped_submap import MappedSubmap
 
-from toolkit.errors import SettingsError
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.losses.semantic import SemanticLoss
-from toolkit.mapping.options import MapperOptions
-from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
-from toolkit.rendering import RenderOptions, backend, render_surface
+from toolkit.base.errors import SettingsError
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
 from toolkit.runs.execution import check_settings
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import NetworkOptions, SemanticLossWeights, SemanticsOptions
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
+from toolkit.splatting.losses.semantic import SemanticLoss
+from toolkit.splatting.rendering import RenderOptions, backend, render_surface
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 TREE = Taxonomy(

@@ -10,14 +10,14 @@ import torch
 from mapped_room import depth_error_m, fed, psnr_db
 from mapped_submap import MappedSubmap
 
-from toolkit.exposure import IDENTITY
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.merging import PATCH_PX, to_ellipsoids
-from toolkit.mapping.options import MapperOptions
-from toolkit.submaps.submap import Submap
+from toolkit.base.exposure import IDENTITY
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.merging import PATCH_PX, to_ellipsoids
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.submaps.submap import Submap
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 _FOCAL, _DEPTH_M = 100.0, 2.0
 # Side of a patch at this depth: a power of two.

@@ -11,13 +11,13 @@ import torch
 from mapped_submap import MappedSubmap
 
 from tests.painted_box import box_frames, path
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.moving_objects import _held_s
-from toolkit.mapping.optimisation import Objective
-from toolkit.mapping.options import MapperOptions
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.moving_objects import _held_s
+from toolkit.slam.mapping.optimisation import Objective
+from toolkit.slam.mapping.options import MapperOptions
 
 WIDTH, HEIGHT = 80, 60
 PANEL_M = 1.1

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.frame import Frame
-from toolkit.gaussians.options import SeedingOptions
-from toolkit.gaussians.seeding import seed
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.gaussians.options import SeedingOptions
+from toolkit.splatting.gaussians.seeding import seed
 
 CAMERA = Camera(300.0, 310.0, 15.0, 11.0, 32, 24)
 SINGLE, CELLS, LARGE = (SeedingOptions(max_cell=n) for n in (1, 2, 4))

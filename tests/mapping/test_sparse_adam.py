@@ -11,11 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
-from toolkit.mapping import sparse_adam
-from toolkit.mapping.sparse_adam import BETA1, BETA2, LearningRates, SparseAdam
-from toolkit.native import available_instruction_sets, load_variant
-from toolkit.submaps.optimiser_state import OptimiserState
+from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.slam.mapping import sparse_adam
+from toolkit.slam.mapping.sparse_adam import BETA1, BETA2, LearningRates, SparseAdam
+from toolkit.slam.submaps.optimiser_state import OptimiserState
+from toolkit.splatting.gaussians.cloud import PARAMETERS, GaussianCloud
 
 PLAIN = ("log_radii", "opacity_logits", "colours", "features")  # parameters in their own unit
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.mapping.surfaces import Surfaces
+from toolkit.slam.mapping.surfaces import Surfaces
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 RADIUS_M = 0.05
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.sources import Source, ViewDescriber
-from toolkit.losses.semantic import SemanticLoss
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.mapping.view_features import FeatureLoss, ViewFeatures
 from toolkit.semantics.codes import ColourCode, SemanticCode, flat_code
+from toolkit.semantics.features.builtin import BuiltinEncoder
+from toolkit.semantics.features.sources import Source, ViewDescriber
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.mapping.view_features import FeatureLoss, ViewFeatures
+from toolkit.splatting.losses.semantic import SemanticLoss
 
 NAMES = ["wall", "chair", "table"]
 TREE = Taxonomy({"everything": NAMES}, classes=NAMES)

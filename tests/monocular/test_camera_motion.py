@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from moving_camera import Film, error_m, film, turn, walk, wind
 
-from toolkit.frame import Frame
-from toolkit.monocular.motion import CameraMotion, combined_focal, estimate_motion
-from toolkit.monocular.sequence import MonocularSequence
+from toolkit.base.frame import Frame
+from toolkit.depth.monocular.motion import CameraMotion, combined_focal, estimate_motion
+from toolkit.depth.monocular.sequence import MonocularSequence
 
 
 def motion_of(frames: list[Frame], **options) -> CameraMotion:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.loop_closure import LoopClosure
-from toolkit.monocular.motion import CameraMotion, doubts_about
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.depth.monocular.loop_closure import LoopClosure
+from toolkit.depth.monocular.motion import CameraMotion, doubts_about
 
 CAMERA = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
 PATH = Trajectory(np.arange(10.0), np.tile(np.eye(4), (10, 1, 1)))

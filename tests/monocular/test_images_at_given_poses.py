@@ -10,13 +10,13 @@ import pytest
 import yaml
 from moving_camera import film, walk
 
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.options import validated
+from toolkit.depth.monocular.given import motion_of_given_poses
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
-from toolkit.monocular.given import motion_of_given_poses
-from toolkit.options import validated
 from toolkit.runs.execution import run
 from toolkit.runs.settings import RunSettings
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from moving_camera import error_m, film, walk
 
-from toolkit.alignment.levels import intensity_of
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.loop_closure import close_loops
-from toolkit.monocular.revisits import NEAR, find_keypoints, find_revisits
-from toolkit.monocular.visual_odometry.odometry import VisualOdometry
-from toolkit.monocular.visual_odometry.sparse_map import SparseMap
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.depth.monocular.loop_closure import close_loops
+from toolkit.depth.monocular.revisits import NEAR, find_keypoints, find_revisits
+from toolkit.depth.monocular.visual_odometry.odometry import VisualOdometry
+from toolkit.depth.monocular.visual_odometry.sparse_map import SparseMap
+from toolkit.splatting.alignment.levels import intensity_of
 
 OUT = 12
 TRUTH = np.concatenate([walk(OUT), walk(OUT)[::-1]])

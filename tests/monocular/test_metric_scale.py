@@ -10,17 +10,17 @@ import pytest
 from moving_camera import error_m, film, walk
 from test_camera_motion import Film, motion_of
 
-from toolkit.depth_priors.multi_view import SweptKeyframe
-from toolkit.errors import SettingsError
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.floor import height_above_floor
-from toolkit.monocular.markers import MarkerView, detect_markers, side_length
-from toolkit.monocular.motion import CameraMotion
-from toolkit.monocular.options import ScaleOptions
-from toolkit.monocular.scale import check_scale, scaled, with_metric_scale
+from toolkit.base.errors import SettingsError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.depth.depth_priors.multi_view import SweptKeyframe
+from toolkit.depth.monocular.floor import height_above_floor
+from toolkit.depth.monocular.markers import MarkerView, detect_markers, side_length
+from toolkit.depth.monocular.motion import CameraMotion
+from toolkit.depth.monocular.options import ScaleOptions
+from toolkit.depth.monocular.scale import check_scale, scaled, with_metric_scale
 
 CAMERA = Camera(200.0, 200.0, 127.5, 95.5, 256, 192)
 NO_DEPTH = np.zeros((192, 256), np.float32)

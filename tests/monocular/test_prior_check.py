@@ -9,14 +9,20 @@ import pytest
 from moving_camera import film, walk
 from numpy.typing import NDArray
 
-from toolkit.depth_priors.kind_check import MAX_KEYFRAMES
-from toolkit.depth_priors.options import DepthPriorOptions
-from toolkit.depth_priors.provider import DepthKind, DepthPrior, PriorModel, PriorSet, ScaleScope
-from toolkit.frame import Frame
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.given import motion_of_given_poses
-from toolkit.monocular.motion import CameraMotion
-from toolkit.monocular.prior_check import doubt_about_priors
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.depth.depth_priors.kind_check import MAX_KEYFRAMES
+from toolkit.depth.depth_priors.options import DepthPriorOptions
+from toolkit.depth.depth_priors.provider import (
+    DepthKind,
+    DepthPrior,
+    PriorModel,
+    PriorSet,
+    ScaleScope,
+)
+from toolkit.depth.monocular.given import motion_of_given_poses
+from toolkit.depth.monocular.motion import CameraMotion
+from toolkit.depth.monocular.prior_check import doubt_about_priors
 
 FRAMES = 12
 OPTIONS = DepthPriorOptions(size=5)

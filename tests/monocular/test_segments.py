@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from moving_camera import Film, error_m, film, walk
 
-from toolkit.frame import Frame
-from toolkit.monocular.motion import CameraMotion, estimate_motion
-from toolkit.monocular.sequence import MonocularSequence
+from toolkit.base.frame import Frame
+from toolkit.depth.monocular.motion import CameraMotion, estimate_motion
+from toolkit.depth.monocular.sequence import MonocularSequence
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
 

@@ -8,22 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.options import as_plain, validated
 from toolkit.datasets.images_only import ImagesOnly
-from toolkit.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
-from toolkit.depth_priors.provider import (
+from toolkit.depth.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
+from toolkit.depth.depth_priors.provider import (
     DepthKind,
     DepthPrior,
     PriorModel,
     PriorSet,
     ScaleScope,
 )
-from toolkit.evaluation.trajectory import absolute_trajectory_error
-from toolkit.frame import Frame
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.depth.monocular.sequence import prior_correction
 from toolkit.io.images import write_png
-from toolkit.monocular.sequence import prior_correction
-from toolkit.options import as_plain, validated
 from toolkit.runs.building import build_slam
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.slam.system import Slam
 from toolkit.synthetic_rooms import tiny_room

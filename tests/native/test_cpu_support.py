@@ -1,7 +1,7 @@
 """No import and no choice of kernels executes instructions that the CPU does not support.
 
 QEMU emulates older CPUs, so that this is tested on machines with AVX-512 as well. Only the standard
-library and `toolkit.native` are loaded: torch takes too long to load under emulation.
+library and `toolkit.base.native` are loaded: torch takes too long to load under emulation.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from toolkit import native
+from toolkit.base import native
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -36,7 +36,7 @@ for folder, _, _ in os.walk(os.path.dirname(toolkit.__file__)):
         names.append(module.name)
 print("loading" in names)
 
-from toolkit import native
+from toolkit.base import native
 
 kernels = native.require_kernels()
 width, height = 37, 13

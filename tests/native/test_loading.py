@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.errors import DependencyError
-from toolkit.native import constants, loading
+from toolkit.base.errors import DependencyError
+from toolkit.base.native import constants, loading
 
 BUILT_BASE = loading._path("base")
 AVAILABLE = loading.available_instruction_sets()
@@ -114,5 +114,5 @@ def test_variant_compiled_with_other_constants_raises(
 @needs_kernels
 @pytest.mark.parametrize("name", loading.INSTRUCTION_SETS)
 def test_variants_cannot_be_imported(name: str) -> None:
-    assert importlib.util.find_spec(f"toolkit.native.variants.{name}") is None
+    assert importlib.util.find_spec(f"toolkit.base.native.variants.{name}") is None
     assert list(pkgutil.iter_modules([str(loading._path(name).parent)])) == []

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit import native
-from toolkit.native import constants
+from toolkit.base import native
+from toolkit.base.native import constants
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-SOURCES = CHECKOUT / "toolkit/native/src"
+SOURCES = CHECKOUT / "toolkit/base/native/src"
 PROGRAM = Path(__file__).with_name("kernels_program.cpp")
 X86 = platform.machine().lower() in ("x86_64", "amd64")
 

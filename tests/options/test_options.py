@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import pytest
 
-from toolkit.errors import SettingsError
-from toolkit.options import (
+from toolkit.base.errors import SettingsError
+from toolkit.base.options import (
     PositiveFloat,
     PositiveInt,
     Range,

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import pytest
 
-from toolkit.cli.run import RunProgram
+from toolkit.base.errors import SettingsError
+from toolkit.base.options import nested_options
 from toolkit.datasets.options import DatasetOptions
-from toolkit.errors import SettingsError
-from toolkit.options import nested_options
 from toolkit.runs.settings import (
     RunSettings,
     dump_settings,
     load_settings,
 )
-from toolkit.tracking.options import TrackingOptions
+from toolkit.slam.tracking.options import TrackingOptions
+from toolkit.tools.cli.run import RunProgram
 
 
 def test_settings_survive_a_yaml_file(tmp_path):

@@ -10,15 +10,15 @@ import pytest
 import torch
 from simulated_clock import SimulatedClock
 
-from toolkit.exposure import IDENTITY
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.deferred import DeferredSteps, StepCounts
-from toolkit.pacing.clock import ArrivalSchedule, MonotonicClock
-from toolkit.pacing.delays import FrameDelay, PaceRecord, PaceSummary, count_of
-from toolkit.pacing.paced import outcome_of
+from toolkit.base.exposure import IDENTITY
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping.deferred import DeferredSteps, StepCounts
+from toolkit.slam.pacing.clock import ArrivalSchedule, MonotonicClock
+from toolkit.slam.pacing.delays import FrameDelay, PaceRecord, PaceSummary, count_of
+from toolkit.slam.pacing.paced import outcome_of
 from toolkit.slam.result import FrameResult
-from toolkit.tracking.result import Health, not_tracked
+from toolkit.slam.tracking.result import Health, not_tracked
 
 ROWS = (
     FrameDelay(0, 0.0, 0.5, "keyframe"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from toolkit.pacing.policy import DurationEstimate, PacePolicy
+from toolkit.slam.pacing.policy import DurationEstimate, PacePolicy
 
 # A camera of 20 frames per second.
 POLICY = PacePolicy(max_delay_s=0.4, period_s=0.05, keyframe_interval=5)

@@ -25,11 +25,11 @@ from benchmarks import (
     trainer_runs,
     trainers,
 )
-from toolkit.batch.plan import load_plan
-from toolkit.cli import live as live_program
-from toolkit.cli import run as run_program
-from toolkit.options import validated
+from toolkit.base.options import validated
+from toolkit.runs.batch.plan import load_plan
 from toolkit.runs.settings import RunSettings
+from toolkit.tools.cli import live as live_program
+from toolkit.tools.cli import run as run_program
 
 SETTINGS: dict[str, dict[str, Any]] = {
     **{
@@ -119,7 +119,7 @@ def test_sequences_of_rows_are_known() -> None:
 
 @pytest.mark.parametrize("name", recordings.ROOMS)
 def test_options_of_rooms_are_those_of_make_room(name: str) -> None:
-    from toolkit.cli.programs import MakeRoomOptions
+    from toolkit.tools.cli.programs import MakeRoomOptions
 
     options = tyro.cli(MakeRoomOptions, args=["--out", "room", *recordings.ROOMS[name]])
     assert options.out.name == "room"

@@ -18,10 +18,10 @@ def test_without_a_compiler_the_build_succeeds_and_says_so_in_one_line(checkout,
     pytest.importorskip("pybind11")
     for name in ("setup.py", "pyproject.toml"):
         shutil.copy(checkout / name, tmp_path)
-    sources = tmp_path / "toolkit/native/src"
+    sources = tmp_path / "toolkit/base/native/src"
     sources.mkdir(parents=True)
     (sources / "tiny.cpp").write_text(TINY_SOURCE)
-    shutil.copy(checkout / "toolkit/native/constants.py", sources.parent)
+    shutil.copy(checkout / "toolkit/base/native/constants.py", sources.parent)
     result = subprocess.run(
         [sys.executable, "setup.py", "--quiet", "build_ext", "--inplace"],
         cwd=tmp_path,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from toolkit.caching import ImageStore, LruCache
+from toolkit.base.caching import ImageStore, LruCache
 
 
 def test_what_was_not_used_for_longest_is_dropped():

@@ -10,9 +10,9 @@ import types
 import pytest
 
 import toolkit
-from toolkit.cli import main as command
-from toolkit.cli.main import JOBS, main
-from toolkit.errors import DatasetError
+from toolkit.base.errors import DatasetError
+from toolkit.tools.cli import main as command
+from toolkit.tools.cli.main import JOBS, main
 
 
 @pytest.fixture
@@ -25,9 +25,9 @@ def failing_job(monkeypatch):
                 raise outcome
             return outcome
 
-        module = types.ModuleType("toolkit.cli.fail")
+        module = types.ModuleType("toolkit.tools.cli.fail")
         module.main = job
-        monkeypatch.setitem(sys.modules, "toolkit.cli.fail", module)
+        monkeypatch.setitem(sys.modules, "toolkit.tools.cli.fail", module)
         monkeypatch.setitem(command.JOBS, "fail", ("fail", "fails"))
 
     return install
@@ -35,9 +35,9 @@ def failing_job(monkeypatch):
 
 def test_a_job_gets_its_words_and_gives_its_status(monkeypatch):
     received = []
-    module = types.ModuleType("toolkit.cli.echo")
+    module = types.ModuleType("toolkit.tools.cli.echo")
     module.main = lambda argv: received.extend(argv) or 7
-    monkeypatch.setitem(sys.modules, "toolkit.cli.echo", module)
+    monkeypatch.setitem(sys.modules, "toolkit.tools.cli.echo", module)
     monkeypatch.setitem(command.JOBS, "echo", ("echo", "repeats"))
     assert main(["echo", "--out", "x", "--verbose"]) == 7
     assert received == ["--out", "x"]
@@ -84,9 +84,9 @@ def test_what_a_user_can_mend_is_one_line(failing_job, capsys, error, line):
 def test_characters_that_an_output_lacks_are_escapes(monkeypatch, encoding):
     output = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(output, encoding))
-    module = types.ModuleType("toolkit.cli.say")
+    module = types.ModuleType("toolkit.tools.cli.say")
     module.main = lambda argv: print("Fußboden", "ソファ", "gr\udcf6") or 0
-    monkeypatch.setitem(sys.modules, "toolkit.cli.say", module)
+    monkeypatch.setitem(sys.modules, "toolkit.tools.cli.say", module)
     monkeypatch.setitem(command.JOBS, "say", ("say", "prints names"))
     assert main(["say"]) == 0
     printed = output.getvalue().decode(encoding)
@@ -134,10 +134,10 @@ def test_help_and_version(capsys):
 
 def test_a_reader_that_leaves_early_causes_no_complaint(checkout):
     program = (
-        "import sys, types; from toolkit.cli import main\n"
-        "module = types.ModuleType('toolkit.cli.talk')\n"
+        "import sys, types; from toolkit.tools.cli import main\n"
+        "module = types.ModuleType('toolkit.tools.cli.talk')\n"
         "module.main = lambda argv: print('words') or 0\n"
-        "sys.modules['toolkit.cli.talk'] = module\n"
+        "sys.modules['toolkit.tools.cli.talk'] = module\n"
         "main.JOBS['talk'] = ('talk', 'talks')\n"
         "sys.stdin.read()\n"
         "sys.exit(main.main(['talk']))"

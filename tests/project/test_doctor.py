@@ -2,12 +2,12 @@
 
 import pytest
 
-from toolkit import native
-from toolkit.cli import doctor
+from toolkit.base import native
+from toolkit.tools.cli import doctor
 
 
 def test_the_launcher_prints_a_line_for_each_part_of_the_machine(run_python):
-    result = run_python("-m", "toolkit.cli.main", "doctor")
+    result = run_python("-m", "toolkit.tools.cli.main", "doctor")
     assert result.stderr == ""
     for subject in ("instruction set", "native kernels", "threads", "gpu", "open3d", "gtsam"):
         assert f"\n{subject} " in result.stdout

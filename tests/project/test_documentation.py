@@ -20,11 +20,11 @@ import tyro
 from documentation import PAGES, ROOT, Block, Command
 
 import toolkit
-from toolkit.cli import run as run_program
-from toolkit.cli.arguments import parse_arguments
-from toolkit.cli.help import option_names
-from toolkit.cli.main import JOBS
-from toolkit.cli.programs import PROGRAMS
+from toolkit.tools.cli import run as run_program
+from toolkit.tools.cli.arguments import parse_arguments
+from toolkit.tools.cli.help import option_names
+from toolkit.tools.cli.main import JOBS
+from toolkit.tools.cli.programs import PROGRAMS
 
 sys.path.insert(0, str(ROOT / "docs"))
 
@@ -120,7 +120,7 @@ def parse_job(words: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
     if words[0] in PROGRAMS:
         parse_arguments(PROGRAMS[words[0]], words[1:], words[0])
         return
-    module = importlib.import_module(f"toolkit.cli.{JOBS[words[0]][0]}")
+    module = importlib.import_module(f"toolkit.tools.cli.{JOBS[words[0]][0]}")
     if hasattr(module, "parse_run"):
         monkeypatch.setattr(run_program, "parse_arguments", stop_after(parse_arguments))
     elif hasattr(module, "parse_arguments"):

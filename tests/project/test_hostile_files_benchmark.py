@@ -17,7 +17,7 @@ from benchmarks.hostile_attempts import crafted, mutated
 from benchmarks.hostile_files import by_cause, counted
 from benchmarks.hostile_samples import SAMPLES
 from benchmarks.hostile_worker import Limited, limited, message_fault
-from toolkit.errors import FormatError, ToolkitError
+from toolkit.base.errors import FormatError, ToolkitError
 
 _QUICK = ("class lists", "settings", "COCO", "masks", "shapes", "embeddings", ".splat", "ksplat")
 

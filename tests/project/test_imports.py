@@ -6,7 +6,8 @@ IMPORT_STAGES = """
 import importlib, pkgutil, sys
 for name in ("open3d", "gtsam", "faiss", "pydantic", "tyro"):
     sys.modules[name] = None  # an import of it now fails
-for name in ("toolkit.rendering", "toolkit.alignment", "toolkit.tracking", "toolkit.mapping"):
+for name in ("splatting.rendering", "splatting.alignment", "slam.tracking", "slam.mapping"):
+    name = "toolkit." + name
     package = importlib.import_module(name)
     for module in pkgutil.iter_modules(package.__path__, name + "."):
         importlib.import_module(module.name)
@@ -28,7 +29,7 @@ for module in pkgutil.walk_packages(toolkit.__path__, "toolkit."):
 # Programs read the declared options before they know whether they need torch at all.
 IMPORT_OPTIONS = """
 import importlib, pathlib, sys
-for file in sorted(pathlib.Path("toolkit").glob("*/options.py")):
+for file in sorted(pathlib.Path("toolkit").rglob("options.py")):
     importlib.import_module(".".join(file.with_suffix("").parts))
     print(file.parent.name)
 heavy = {"torch", "numpy", "scipy", "cv2", "open3d", "pydantic", "tyro", "yaml"}
@@ -38,7 +39,7 @@ print(sorted(heavy & set(sys.modules)))
 # Of the other jobs `main` imports the arguments alone; `doctor` takes none.
 HELP_OF_ALL_JOBS = """
 import sys
-from toolkit.cli.main import JOBS, main
+from toolkit.tools.cli.main import JOBS, main
 for job in sorted(set(JOBS) - {"doctor"}):
     for flag in ("--help", "--help-all"):
         assert main([job, flag]) == 0
@@ -49,7 +50,7 @@ print(sorted(heavy & set(sys.modules)))
 # Wrong arguments of a job whose module imports torch: values, combinations and file names.
 WRONG_ARGUMENTS = """
 import sys
-from toolkit.cli.main import main
+from toolkit.tools.cli.main import main
 for arguments in (
     ["run", "--out", "o", "--nothing"],
     ["evaluate", "r", "--max-views", "0"],
@@ -70,7 +71,7 @@ print(sorted({"torch", "open3d", "sklearn", "gtsam", "faiss"} & set(sys.modules)
 """
 
 IMPORT_TOOLKIT = """
-import sys, toolkit, toolkit.cli.main
+import sys, toolkit, toolkit.tools.cli.main
 assert set(toolkit.__all__) <= set(dir(toolkit))
 heavy = {"torch", "numpy", "cv2", "open3d", "pydantic", "tyro", "rich", "sklearn"}
 print(sorted(heavy & set(sys.modules)))
@@ -80,13 +81,13 @@ print(sorted(heavy & set(sys.modules)))
 def test_rendering_tracking_and_mapping_need_torch_numpy_and_opencv_alone(run_python):
     result = run_python("-c", IMPORT_STAGES)
     assert result.returncode == 0, result.stderr
-    assert "toolkit.rendering.render\n" in result.stdout
+    assert "toolkit.splatting.rendering.render\n" in result.stdout
 
 
 def test_every_module_can_be_imported(run_python):
     result = run_python("-c", IMPORT_EVERYTHING)
     assert result.returncode == 0, result.stderr
-    assert {"toolkit.cli.run", "toolkit.native.loading"} < set(result.stdout.split())
+    assert {"toolkit.tools.cli.run", "toolkit.base.native.loading"} < set(result.stdout.split())
 
 
 def test_declared_options_need_the_standard_library_alone(run_python):

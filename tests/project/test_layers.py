@@ -39,9 +39,9 @@ def test_the_layers_are_kept(checkout):
 @pytest.mark.parametrize(
     ("module", "line", "contract"),
     [
-        ("geometry/camera.py", "import toolkit.tracking", "Each layer imports only"),
+        ("base/geometry/camera.py", "import toolkit.slam.tracking", "Each layer imports only"),
         ("io/images.py", "import open3d", "Heavy libraries"),
-        ("mapping/options.py", "import numpy", "Declared options"),
+        ("slam/mapping/options.py", "import numpy", "Declared options"),
         # A module that the table does not name belongs nowhere.
         ("utils.py", "", "Each layer imports only"),
     ],

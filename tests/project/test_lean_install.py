@@ -10,16 +10,16 @@ for name in (
     sys.modules[name] = None  # an import of it now fails
 import numpy as np
 import torch
-from toolkit.keyframe import Keyframe
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
-from toolkit.rendering import render
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.options import DenseOptions
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.frame import Frame
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.splatting.rendering import render
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.options import DenseOptions
 
 camera = Camera(40.0, 40.0, 23.5, 17.5, 48, 36)
 v, u = np.mgrid[-8.0:44.0:0.5, -8.0:56.0:0.5].reshape(2, -1)

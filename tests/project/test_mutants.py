@@ -66,7 +66,7 @@ def test_the_sample_depends_on_the_seed_alone() -> None:
     chosen = changes(sample(Options("alignment", count=10, only=only)))
     assert (name, line, change) in chosen and {row[:2] for row in chosen} == {(name, line)}
     without = sample(Options("alignment", count=0, exclude=("cuda", "joint.py")))
-    assert {"toolkit/alignment/data.py"} < {str(name) for name, _ in without}
+    assert {"toolkit/splatting/alignment/data.py"} < {str(name) for name, _ in without}
     assert not any("cuda" in name.parts or name.name == "joint.py" for name, _ in without)
     with pytest.raises(ValueError, match="toolkit/nothing is no Python package"):
         sample(Options("nothing"))

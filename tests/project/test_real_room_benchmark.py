@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from benchmarks import real_room
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
 
 CAMERA = Camera(256.0, 256.0, 159.5, 119.5, 320, 240)
 

@@ -24,7 +24,7 @@ HEADER = Header(
     instruction_set="avx2",
     threads="2",
     seeds=(0, 1),
-    measures=("toolkit", "-toolkit/cli"),
+    measures=("toolkit", "-toolkit/tools/cli"),
 )
 TABLES = (
     Table(("row", "a | b"), (("x", "1.5"), ("y", "n/a")), note="A note."),
@@ -90,7 +90,7 @@ def history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     git("init", "-q")
     commits = []
-    for number, name in enumerate(("toolkit/a.py", "toolkit/cli/b.py", "toolkit/a.py")):
+    for number, name in enumerate(("toolkit/a.py", "toolkit/tools/cli/b.py", "toolkit/a.py")):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(str(number))
@@ -104,8 +104,8 @@ def history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_commits_after_a_measurement_are_counted_by_path(history: list[str]) -> None:
     first, second, last = history
     assert commits_since(first, ["toolkit"]) == 2
-    assert commits_since(first, ["toolkit", "-toolkit/cli"]) == 1
-    assert commits_since(second, ["toolkit/cli"]) == 0
+    assert commits_since(first, ["toolkit", "-toolkit/tools/cli"]) == 1
+    assert commits_since(second, ["toolkit/tools/cli"]) == 0
     assert commits_since(last, ["toolkit"]) == 0
     assert commits_since("f" * 40, ["toolkit"]) is None
     assert commits_since("", ["toolkit"]) is None

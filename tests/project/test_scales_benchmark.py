@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import scales
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry.camera import Camera
 
 _CAMERA = Camera(60.0, 60.0, 39.5, 29.5, 80, 60)
 

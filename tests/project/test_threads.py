@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.tracking.flying_pixels import without_flying_pixels
+from toolkit.slam.tracking.flying_pixels import without_flying_pixels
 
 
 @pytest.mark.parametrize(

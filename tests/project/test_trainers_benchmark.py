@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from benchmarks import trainer_runs, trainer_scores, trainers
-from toolkit.evaluation.run_metrics import TrackedFrame
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.io.splats import Splats, write_splat_ply
+from toolkit.runs.evaluation.run_metrics import TrackedFrame
 from toolkit.runs.splat_clouds import read_cloud
 
 CAMERA = Camera(40.0, 40.0, 16.0, 11.0, 32, 24)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.uncertainty import Compared, TruthError, compare
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 
 SIGMA = np.array([0.02, 0.01, 0.03, 0.01, 0.02, 0.005])
 

@@ -44,7 +44,7 @@ def test_the_wheel_contains_every_file_but_the_sources_of_the_kernels(checkout, 
     expected = {
         name
         for name in tracked_files(checkout)
-        if name.startswith("toolkit/") and not name.startswith("toolkit/native/src/")
+        if name.startswith("toolkit/") and not name.startswith("toolkit/base/native/src/")
     }
     assert expected <= set(zipfile.ZipFile(wheel).namelist())
 
@@ -60,7 +60,7 @@ def test_an_installed_program_writes_a_page_outside_the_checkout(checkout, wheel
     where = call(python, "-c", "import toolkit; print(toolkit.__file__)", cwd=tmp_path, env=known)
     assert where.startswith(str(environment))
     # Compiling them again takes a minute, and running without them too.
-    kernels = Path("native/variants")
+    kernels = Path("base/native/variants")
     if (checkout / "toolkit" / kernels).is_dir():
         shutil.copytree(checkout / "toolkit" / kernels, Path(where).parent / kernels)
     program, room = environment / "bin/semsplat", ["--image-size", "64", "48", "--frames", "3"]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from registered_room import QUICK, error, motion, scene
 
-from toolkit.geometry import se3
-from toolkit.mapping.mapper import Mapper
-from toolkit.refinement import anchors as anchors_module
-from toolkit.refinement.anchors import align_anchors, motion_gradient
-from toolkit.submaps.atlas import Atlas
+from toolkit.base.geometry import se3
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.refinement import anchors as anchors_module
+from toolkit.slam.refinement.anchors import align_anchors, motion_gradient
+from toolkit.slam.submaps.atlas import Atlas
 
 
 def displaced(T_error: np.ndarray) -> tuple[Atlas, np.ndarray]:

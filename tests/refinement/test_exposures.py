@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.exposure import IDENTITY, NEUTRAL, Exposure
-from toolkit.refinement.exposures import (
+from toolkit.base.exposure import IDENTITY, NEUTRAL, Exposure
+from toolkit.slam.refinement.exposures import (
     at_typical_exposure,
     estimate_exposures,
     typical_exposure,

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.exposure import IDENTITY, Exposure
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.refinement.fusion import fuse_submaps, single_submap
-from toolkit.rendering import render
-from toolkit.submaps.optimiser_state import OptimiserState
-from toolkit.submaps.submap import Submap
+from toolkit.base.exposure import IDENTITY, Exposure
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.refinement.fusion import fuse_submaps, single_submap
+from toolkit.slam.submaps.optimiser_state import OptimiserState
+from toolkit.slam.submaps.submap import Submap
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import render
 
 
 def wall(number, left_m, right_m, steps, colour=0.5):

@@ -8,8 +8,8 @@ import pytest
 import torch
 from splat_scenes import native_backend
 
-from toolkit.native import available_instruction_sets
-from toolkit.rendering.native import NativeRenderer
+from toolkit.base.native import available_instruction_sets
+from toolkit.splatting.rendering.native import NativeRenderer
 
 
 @pytest.fixture(params=available_instruction_sets())

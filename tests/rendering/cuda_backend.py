@@ -20,14 +20,14 @@ from splat_scenes import (
 )
 from torch import Tensor
 
-from toolkit.rendering import GaussianGradients
-from toolkit.rendering.backend import ForwardPass
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.splatting.rendering import GaussianGradients
+from toolkit.splatting.rendering.backend import ForwardPass
+from toolkit.splatting.rendering.reference import ReferenceBackend
 
 pytest.importorskip("triton", reason="triton is not installed")
 
-from toolkit.rendering.cuda.backend import CudaRenderer, interpreted
-from toolkit.rendering.cuda.tuning import Tuning
+from toolkit.splatting.rendering.cuda.backend import CudaRenderer, interpreted
+from toolkit.splatting.rendering.cuda.tuning import Tuning
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 FLOAT32 = Tuning(precision="tf32x3")

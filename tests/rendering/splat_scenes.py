@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud, LowPass
-from toolkit.gaussians.ellipsoids import Ellipsoids, harmonic_basis
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
-from toolkit.native import load_variant
-from toolkit.native.constants import MAX_ALPHA, MIN_ALPHA, NEAR_M
-from toolkit.rendering import GaussianGradients
-from toolkit.rendering.backend import Backend, ForwardPass
-from toolkit.rendering.native import NativeRenderer
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.native import load_variant
+from toolkit.base.native.constants import MAX_ALPHA, MIN_ALPHA, NEAR_M
+from toolkit.splatting.gaussians.cloud import GaussianCloud, LowPass
+from toolkit.splatting.gaussians.ellipsoids import Ellipsoids, harmonic_basis
+from toolkit.splatting.rendering import GaussianGradients
+from toolkit.splatting.rendering.backend import Backend, ForwardPass
+from toolkit.splatting.rendering.native import NativeRenderer
+from toolkit.splatting.rendering.reference import ReferenceBackend
 
 BAND = 1e-5
 GROUPS = ("means", "log_radii", "opacity_logits", "colours", "features", "T_camera_map")

@@ -26,10 +26,10 @@ from splat_scenes import (
 )
 from torch import Tensor
 
-from toolkit.native.constants import MIN_TRANSMITTANCE
-from toolkit.rendering import backend
-from toolkit.rendering.cuda.tuning import Tuning
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.base.native.constants import MIN_TRANSMITTANCE
+from toolkit.splatting.rendering import backend
+from toolkit.splatting.rendering.cuda.tuning import Tuning
+from toolkit.splatting.rendering.reference import ReferenceBackend
 
 pytestmark = pytest.mark.usefixtures("poisoned_memory")
 

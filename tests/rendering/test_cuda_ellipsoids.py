@@ -24,15 +24,15 @@ from splat_scenes import (
     skewed_camera,
 )
 
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, NO_LOW_PASS, PIXEL_FILTER, LowPass
-from toolkit.gaussians.ellipsoids import Ellipsoids
-from toolkit.geometry.camera import Camera
-from toolkit.native.constants import MIN_TRANSMITTANCE
-from toolkit.rendering import render
-from toolkit.rendering.cuda import ellipsoids
-from toolkit.rendering.cuda.tuning import Tuning
-from toolkit.rendering.native import NativeRenderer
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.native.constants import MIN_TRANSMITTANCE
+from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS, NO_LOW_PASS, PIXEL_FILTER, LowPass
+from toolkit.splatting.gaussians.ellipsoids import Ellipsoids
+from toolkit.splatting.rendering import render
+from toolkit.splatting.rendering.cuda import ellipsoids
+from toolkit.splatting.rendering.cuda.tuning import Tuning
+from toolkit.splatting.rendering.native import NativeRenderer
+from toolkit.splatting.rendering.reference import ReferenceBackend
 
 pytestmark = pytest.mark.usefixtures("poisoned_memory")
 FILTERS = [NO_LOW_PASS, LOW_PASS_3DGS, PIXEL_FILTER]

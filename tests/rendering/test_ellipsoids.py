@@ -19,20 +19,20 @@ from splat_scenes import (
     reference_images,
 )
 
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, NO_LOW_PASS, GaussianCloud, LowPass
-from toolkit.gaussians.ellipsoids import (
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.harmonics import harmonic_rotation
+from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS, NO_LOW_PASS, GaussianCloud, LowPass
+from toolkit.splatting.gaussians.ellipsoids import (
     HARMONIC_COUNTS,
     Ellipsoids,
     harmonic_basis,
     quaternions,
     rotation_matrices,
 )
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.harmonics import harmonic_rotation
-from toolkit.rendering import render
-from toolkit.rendering.native import NativeRenderer
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.splatting.rendering import render
+from toolkit.splatting.rendering.native import NativeRenderer
+from toolkit.splatting.rendering.reference import ReferenceBackend
 
 FILTERS = [NO_LOW_PASS, LOW_PASS_3DGS, LowPass(0.1, compensated=True)]
 

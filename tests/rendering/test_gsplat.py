@@ -20,11 +20,11 @@ from splat_scenes import (
 )
 from torch import Tensor
 
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, PARAMETERS, GaussianCloud, LowPass
-from toolkit.gaussians.ellipsoids import Ellipsoids
-from toolkit.geometry.camera import Camera
-from toolkit.rendering.gsplat import GsplatBackend
-from toolkit.rendering.reference import ReferenceBackend, composite
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS, PARAMETERS, GaussianCloud, LowPass
+from toolkit.splatting.gaussians.ellipsoids import Ellipsoids
+from toolkit.splatting.rendering.gsplat import GsplatBackend
+from toolkit.splatting.rendering.reference import ReferenceBackend, composite
 
 
 class Rasteriser:

@@ -23,12 +23,12 @@ from splat_scenes import (
     skewed_camera,
 )
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.camera import Camera
-from toolkit.native.constants import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
-from toolkit.rendering import render
-from toolkit.rendering.native import NativeRenderer
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.native.constants import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import render
+from toolkit.splatting.rendering.native import NativeRenderer
+from toolkit.splatting.rendering.reference import ReferenceBackend
 
 
 def assert_agrees(

@@ -20,11 +20,11 @@ from splat_scenes import (
     reference_images,
 )
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.camera import Camera
-from toolkit.rendering import TILE, tile_counts
-from toolkit.rendering.native import NativeRenderer
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import TILE, tile_counts
+from toolkit.splatting.rendering.native import NativeRenderer
+from toolkit.splatting.rendering.reference import ReferenceBackend
 
 
 @pytest.fixture(autouse=True)

@@ -19,9 +19,9 @@ from splat_scenes import (
     skewed_camera,
 )
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.rendering import RenderOutput
-from toolkit.rendering.reference import composite
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import RenderOutput
+from toolkit.splatting.rendering.reference import composite
 
 
 @settings(max_examples=15, deadline=None)

@@ -12,10 +12,10 @@ import pytest
 import torch
 from splat_scenes import random_scene, scene_at_pixels, skewed_camera
 
-from toolkit import native
-from toolkit.errors import DependencyError, SettingsError
-from toolkit.native import loading
-from toolkit.rendering import backend, render
+from toolkit.base import native
+from toolkit.base.errors import DependencyError, SettingsError
+from toolkit.base.native import loading
+from toolkit.splatting.rendering import backend, render
 
 needs_kernels = pytest.mark.skipif(
     not native.available_instruction_sets(), reason="no native kernels were built"
@@ -125,7 +125,7 @@ def test_unknown_and_unavailable_backends_raise() -> None:
 def test_errors_of_gpu_backends_name_the_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setitem(sys.modules, "triton", None)
-    for name in [n for n in sys.modules if n.startswith("toolkit.rendering.cuda")]:
+    for name in [n for n in sys.modules if n.startswith("toolkit.splatting.rendering.cuda")]:
         monkeypatch.delitem(sys.modules, name)
     with pytest.raises(DependencyError, match="cuda backend needs triton"):
         backend("cuda")
@@ -135,7 +135,7 @@ def test_errors_of_gpu_backends_name_the_missing_package(monkeypatch: pytest.Mon
 
 
 def test_compiled_kernels_need_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = pytest.importorskip("toolkit.rendering.cuda.backend")
+    module = pytest.importorskip("toolkit.splatting.rendering.cuda.backend")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(module, "interpreted", lambda: False)
     with pytest.raises(DependencyError, match="needs a CUDA device"):

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from splat_scenes import Scene, random_scene
 from torch import Tensor
 
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.options import SeedingOptions
-from toolkit.gaussians.seeding import seed
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.rendering import RenderOptions, backend, render_surface, surface
-from toolkit.rendering.native import NativeRenderer
-from toolkit.rendering.reference import ReferenceBackend
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.gaussians.options import SeedingOptions
+from toolkit.splatting.gaussians.seeding import seed
+from toolkit.splatting.rendering import RenderOptions, backend, render_surface, surface
+from toolkit.splatting.rendering.native import NativeRenderer
+from toolkit.splatting.rendering.reference import ReferenceBackend
 
 CAMERA = Camera(fx=150.0, fy=150.0, cx=79.5, cy=59.5, width=160, height=120)
 

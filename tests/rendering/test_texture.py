@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.native import available_instruction_sets, load_variant
-from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface, texture
-from toolkit.rendering.texture import (
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import RenderOptions, SurfaceView, backend, render_surface, texture
+from toolkit.splatting.rendering.texture import (
     centre_offsets,
     centred_intensity,
     resample_at_centres,

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.rendering.viewpoints import Viewpoint, overview
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering.viewpoints import Viewpoint, overview
 
 CAMERA = Camera(fx=80.0, fy=80.0, cx=49.5, cy=39.5, width=100, height=80)
 

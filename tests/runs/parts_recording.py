@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from toolkit.frame import Frame
+from toolkit.base.frame import Frame
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 

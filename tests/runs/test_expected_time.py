@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.geometry.camera import Camera
-from toolkit.mapping.options import MapperOptions
+from toolkit.base.geometry.camera import Camera
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.expected_time import ExpectedTime, with_expected_motion_time
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.mapping.options import MapperOptions
 
 VGA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
 QVGA = Camera(262.5, 262.5, 159.5, 119.5, 320, 240)

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from box_room import FLOOR, walk
 
-from toolkit.errors import RunFolderError
+from toolkit.base.errors import RunFolderError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.image_sides import turned_upright
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.exports.selection import _lowest_layer
-from toolkit.frame import Frame
-from toolkit.geometry.image_sides import turned_upright
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.runs import image_side
 from toolkit.runs.building import build_run_labeller
 from toolkit.runs.finished import load_run
 from toolkit.runs.image_side import find_side, up_side
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement
-from toolkit.viewer.reading import vertical
+from toolkit.tools.viewer.reading import vertical
 
 AUTO = RunSettings()
 

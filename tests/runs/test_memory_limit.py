@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from toolkit.cli.main import main
 from toolkit.runs import memory_limit
 from toolkit.runs.memory_limit import MemoryLimit
+from toolkit.tools.cli.main import main
 
 
 @pytest.fixture

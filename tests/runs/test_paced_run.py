@@ -13,8 +13,8 @@ import pytest
 from killed_runs import kept_checkpoints
 from tiny_recording import FRAMES
 
-from toolkit.cli.main import main
 from toolkit.runs.finished import load_run
+from toolkit.tools.cli.main import main
 
 # The frames arrive within 6 ms, in which no machine processes them all.
 OPTIONS = ("--pace", "1000", "--pacing.max-delay-s", "0.001")
@@ -25,7 +25,7 @@ def paced_run(tiny_recording: Path, tmp_path_factory: pytest.TempPathFactory) ->
     out = tmp_path_factory.mktemp("paced") / "run"
     words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording), *OPTIONS]
     done = subprocess.run(
-        [sys.executable, "-m", "toolkit.cli.main", "run", *words, "--out", str(out)],
+        [sys.executable, "-m", "toolkit.tools.cli.main", "run", *words, "--out", str(out)],
         capture_output=True,
         text=True,
         check=False,

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from parts_recording import FIRST, SECOND, THIRD, write_two_places
 
-from toolkit.cli.main import main
-from toolkit.evaluation.trajectory import absolute_trajectory_error
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
-from toolkit.loops.relocalisation import Relocaliser
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.runs.finished import load_run
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.result import Health
-from toolkit.viewer.options import ShownContent
-from toolkit.viewer.reading import read_scene
+from toolkit.slam.loops.relocalisation import Relocaliser
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.result import Health
+from toolkit.tools.cli.main import main
+from toolkit.tools.viewer.options import ShownContent
+from toolkit.tools.viewer.reading import read_scene
 
 DOUBTFUL, LOST = 3, [6, 7]
 QUICK = [

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import toolkit
-from toolkit.cli.main import main
+from toolkit.tools.cli.main import main
 
 
 def words_of_a_run(dataset: str, *more: str) -> list[str]:

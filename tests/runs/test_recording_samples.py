@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.runs.recording_samples import is_same_recording, recording_samples
 
 

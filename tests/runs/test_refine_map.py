@@ -14,19 +14,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.batch.refining.anchors import chosen_pairs, corrected_anchors, possible_pairs
-from toolkit.batch.refining.pipeline import refine_map
-from toolkit.batch.refining.tasks import Extent, InThisProcess, PairResult
-from toolkit.batch.refining.trajectory import moved_frames
-from toolkit.cli.main import main
-from toolkit.exposure import Exposure
-from toolkit.geometry import se3
+from toolkit.base.exposure import Exposure
+from toolkit.base.geometry import se3
 from toolkit.io import storage
 from toolkit.io.trajectories import read_tum
-from toolkit.loops.closing.options import ClosingOptions, LoopClosureOptions
-from toolkit.loops.registration.result import failed
-from toolkit.rendering import render
+from toolkit.runs.batch.refining.anchors import chosen_pairs, corrected_anchors, possible_pairs
+from toolkit.runs.batch.refining.pipeline import refine_map
+from toolkit.runs.batch.refining.tasks import Extent, InThisProcess, PairResult
+from toolkit.runs.batch.refining.trajectory import moved_frames
 from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.slam.loops.closing.options import ClosingOptions, LoopClosureOptions
+from toolkit.slam.loops.registration.result import failed
+from toolkit.splatting.rendering import render
+from toolkit.tools.cli.main import main
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def keyframe_psnr_db(run: FinishedRun, number: int) -> float:
 @pytest.mark.parametrize("shift_m", [0.15, 0.005])
 def test_only_registrations_that_contradict_the_poses_move_submaps(shift_m, compared, monkeypatch):
     # Large graphs are solved without comparing all pairs.
-    monkeypatch.setattr("toolkit.batch.refining.anchors._MAX_COMPARED", compared)
+    monkeypatch.setattr("toolkit.runs.batch.refining.anchors._MAX_COMPARED", compared)
     true = {n: se3.exp(np.array([n, 0.0, 0.0, 0.0, 0.1 * n, 0.0])) for n in (0, 2, 5)}
     shift = se3.exp(np.array([0.0, 0.0, shift_m, 0.0, 0.0, 0.0]))
     moved = {n: T if n == 0 else shift @ T for n, T in true.items()}

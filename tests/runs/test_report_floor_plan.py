@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from labelled_room import TAXONOMY, gaussians_at, labelled, room_parts
 
-from toolkit.evaluation.report import ReportContent, render_report
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.io.length_names import METRES
 from toolkit.io.splats import write_splat_ply
+from toolkit.runs.evaluation.report import ReportContent, render_report
 from toolkit.runs.report_pictures import report_floor_plan
 
 EMPTY_PATH = Trajectory(np.empty(0), np.empty((0, 4, 4)))

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.cli.main import main
+from toolkit.base.errors import RunFolderError
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import RunFolderError
 from toolkit.runs.processed_frames import check_identity, identity_of
+from toolkit.tools.cli.main import main
 
 FRAMES = 3
 

@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit import __version__
-from toolkit.cli.main import main
-from toolkit.errors import SettingsError
+from toolkit.base.errors import SettingsError
+from toolkit.base.version import __version__
 from toolkit.io.arrays import read_array_tree
 from toolkit.io.splats import read_splats
-from toolkit.mapping.options import MapperOptions
 from toolkit.runs import saved_map
 from toolkit.runs.finished import load_run
 from toolkit.runs.formats import RUN_FORMAT
 from toolkit.runs.settings import RunSettings, dump_settings, load_stored_settings
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.tools.cli.main import main
 
 STORED = Path(__file__).with_name("stored")
 FOLDERS = sorted(path.stem for path in STORED.glob("*.zip"))

@@ -11,17 +11,17 @@ import pytest
 
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.growing_scene.options import GrowingSceneOptions
-from toolkit.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.runs.building import build_slam
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.execution import run
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.observers import ObservedRun, Observers
 from toolkit.runs.progress import ProgressReader
 from toolkit.runs.settings import RunSettings, dump_settings, load_settings
 from toolkit.runs.snapshots import SnapshotWriter, unwatch, watch
-from toolkit.submaps.options import AllocationOptions, SubmapOptions
+from toolkit.slam.growing_scene.options import GrowingSceneOptions
+from toolkit.slam.mapping.options import KeyframePolicy, MapperOptions
+from toolkit.slam.submaps.options import AllocationOptions, SubmapOptions
 
 MAPPING = MapperOptions(
     first_iterations=4, iterations=1, final_iterations=1, keyframes=KeyframePolicy(interval=1)

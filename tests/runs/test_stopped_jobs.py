@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.cli.main import main
-from toolkit.errors import RunFolderError, Stopped
+from toolkit.base.errors import RunFolderError, Stopped
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.new_folder import NewFolder
 from toolkit.runs.session import Session
 from toolkit.runs.stopping import StopSignals
+from toolkit.tools.cli.main import main
 
 RESULTS = ("trajectory.txt", "map.ply", "loops.jsonl")
 
@@ -125,8 +125,8 @@ def test_sigterm_ends_a_live_run_with_a_checkpoint(tiny_recording: Path, tmp_pat
 
 # Arguments of each job, the function before which it is killed, and the last file that it writes.
 JOBS = {
-    "edit": (["--remove", "wall"], "toolkit.cli.edit._report", "edit.json"),
-    "refine": ([], "toolkit.batch.refining.pipeline._write", "config.yaml"),
+    "edit": (["--remove", "wall"], "toolkit.tools.cli.edit._report", "edit.json"),
+    "refine": ([], "toolkit.runs.batch.refining.pipeline._write", "config.yaml"),
     "export": (
         ["--format", "nerfstudio"],
         "toolkit.exports.views.write_transforms",
@@ -137,7 +137,7 @@ KILLED = """
 import importlib, os, sys
 module, _, name = sys.argv[1].rpartition(".")
 setattr(importlib.import_module(module), name, lambda *_: os.kill(os.getpid(), 9))
-from toolkit.cli.main import main
+from toolkit.tools.cli.main import main
 main(sys.argv[2:])
 """
 
@@ -177,7 +177,7 @@ def test_folders_of_others_are_refused(tmp_path):
 
 
 def _started(*words: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "toolkit.cli.main", *map(str, words)]
+    command = [sys.executable, "-m", "toolkit.tools.cli.main", *map(str, words)]
     return subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.semantics.segmenters.geometric.gravity import UpEstimator
 from toolkit.semantics.segmenters.geometric.labelling import (
     OBJECT,

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from box_room import CEILING, FLOOR, OBJECT, SURFACE, WALL, LabelledView, looking, see, walk
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.registry import open_dataset
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
 from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegmenter
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.errors import DatasetError
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import DatasetError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.io.images import write_png
 from toolkit.semantics.segmenters.dataset_labels import RecordedLabels
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder

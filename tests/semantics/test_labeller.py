@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
-from toolkit.frame import Frame, without_pixels
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import FormatError
+from toolkit.base.frame import Frame, without_pixels
+from toolkit.base.geometry.camera import Camera
 from toolkit.semantics.labeller import Labeller
 
 CAMERA = Camera(4.0, 4.0, 1.5, 0.5, 4, 2)

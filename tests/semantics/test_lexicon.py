@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.semantics.lexicon.matching import match, selected_nodes
 from toolkit.semantics.lexicon.nouns import Lexicon, forms, load_lexicon
 from toolkit.semantics.taxonomy import Taxonomy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.object_embeddings import ObjectEmbeddings
 from toolkit.semantics.object_search import rank_objects
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from labelled_room import T_MAP_ROOM
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.measures import free_width_m, surface_distance

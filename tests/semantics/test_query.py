@@ -25,8 +25,8 @@ from labelled_room import (
     sheet,
 )
 
-from toolkit.errors import FormatError
-from toolkit.geometry import se3
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry import se3
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.query import LabelledMap, check_labels, connected

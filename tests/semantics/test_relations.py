@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from labelled_room import T_MAP_ROOM, sheet, table
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.relations import RelationOptions, relations
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.errors import DatasetError, DependencyError, FormatError
-from toolkit.features.pretrained import loading as pretrained
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import DatasetError, DependencyError, FormatError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.semantics.features.pretrained import loading as pretrained
 from toolkit.semantics.segmenters.head_training import (
     HeadTrainingOptions,
     _fit,

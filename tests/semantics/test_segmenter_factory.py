@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from toolkit.errors import DatasetError, FormatError, SettingsError
+from toolkit.base.errors import DatasetError, FormatError, SettingsError
+from toolkit.base.options import validated
 from toolkit.io.images import write_png
-from toolkit.options import validated
 from toolkit.semantics.factory import build_segmenter
 from toolkit.semantics.options import SegmenterOptions
 from toolkit.semantics.segmenters.dataset_labels import RecordedLabels

@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import cv2
 import pytest
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
 from toolkit.semantics.taxonomy_text import tree_text

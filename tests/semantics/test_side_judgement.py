@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from box_room import looking, see, walk
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.orientation import oriented, oriented_camera
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.samples import evenly_spaced
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
 
 SIDE_OF_ROLL = {0.0: "top", 90.0: "left", 180.0: "bottom", -90.0: "right"}

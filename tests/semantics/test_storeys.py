@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.rooms import RoomMap
 from toolkit.semantics.storey_rooms import numbered_rooms

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.semantics.taxonomy import Taxonomy
 
 TREE = {

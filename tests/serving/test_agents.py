@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 from layout_run import CLASS_NAMES, T_MAP_WORLD, Taxonomy, changed, make_run
 
-from toolkit.cli.main import main
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.io.splats import read_splats, write_splat_ply
-from toolkit.serving.admission import Computations
-from toolkit.serving.map_tools import MapTools, looking_at, shown
-from toolkit.serving.options import EarlierRun
-from toolkit.serving.served_run import NotAvailableError, ServedRun
 from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
+from toolkit.tools.cli.main import main
+from toolkit.tools.serving.admission import Computations
+from toolkit.tools.serving.map_tools import MapTools, looking_at, shown
+from toolkit.tools.serving.options import EarlierRun
+from toolkit.tools.serving.served_run import NotAvailableError, ServedRun
 
 anyio = pytest.importorskip("anyio")
 mcp = pytest.importorskip("mcp")
@@ -52,7 +52,7 @@ def runs(tmp_path_factory) -> tuple[Path, Path]:
 @pytest.fixture(scope="module")
 def call(runs) -> Iterator[Call]:
     """Call a tool of the first room's server; the second one is its earlier run."""
-    from toolkit.serving.agents import build_server
+    from toolkit.tools.serving.agents import build_server
 
     run = ServedRun(runs[0], max_pixels=300_000)
     tools = MapTools(run, EarlierRun(runs[1], same_frame=True))
@@ -205,7 +205,7 @@ def test_errors_are_results_that_say_what_to_do(call, name, arguments, said):
 
 
 def test_tools_only_read(runs):
-    from toolkit.serving.agents import build_server
+    from toolkit.tools.serving.agents import build_server
 
     async def listed() -> Any:
         run = ServedRun(runs[0], max_pixels=300_000)
@@ -232,7 +232,7 @@ def test_nothing_but_the_protocol_is_written_to_stdout(runs):
         {"jsonrpc": "2.0", "id": 2, "method": "tools/call", "params": {"name": "changes"}},
     ]
     process = subprocess.Popen(
-        [sys.executable, "-m", "toolkit.cli.main", "serve", str(runs[0]), "--mcp"],
+        [sys.executable, "-m", "toolkit.tools.cli.main", "serve", str(runs[0]), "--mcp"],
         cwd=ROOT,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         stdin=subprocess.PIPE,
@@ -263,7 +263,7 @@ def test_what_cannot_be_served_is_reported_in_one_line(runs, capsys, tmp_path, m
     assert captured.out == "" and "none" in captured.err
     for name in [name for name in sys.modules if name.split(".")[0] == "mcp"]:
         monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delitem(sys.modules, "toolkit.serving.agents", raising=False)
+    monkeypatch.delitem(sys.modules, "toolkit.tools.serving.agents", raising=False)
     assert main(["serve", str(runs[0]), "--mcp"]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and "pip install 'semsplat[agents]'" in captured.err

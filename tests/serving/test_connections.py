@@ -12,7 +12,7 @@ import pytest
 
 uvicorn = pytest.importorskip("uvicorn")
 
-from toolkit.serving import connections  # noqa: E402
+from toolkit.tools.serving import connections  # noqa: E402
 
 MOST = 4
 REQUEST = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"

@@ -17,8 +17,8 @@ from pathlib import Path
 import httpx2 as httpx
 import pytest
 
-from toolkit.cli.main import main
 from toolkit.io.addresses import bind, is_local
+from toolkit.tools.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def service(*words: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A service in a process of its own, and its URL; it is ended with the block."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "toolkit.cli.main", "serve", *map(str, words), "--port", "0"],
+        [sys.executable, "-m", "toolkit.tools.cli.main", "serve", *map(str, words), "--port", "0"],
         cwd=ROOT,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         stdout=subprocess.PIPE,
@@ -130,5 +130,5 @@ def test_damaged_runs_are_rejected(tiny_run, tmp_path, capsys):
 
 def test_missing_packages_are_named(tiny_run: Path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "fastapi", None)
-    monkeypatch.delitem(sys.modules, "toolkit.serving.application", raising=False)
+    monkeypatch.delitem(sys.modules, "toolkit.tools.serving.application", raising=False)
     assert "pip install 'semsplat[server]'" in error_line(capsys, tiny_run, "--port", 0)

@@ -17,15 +17,15 @@ import pytest
 from fastapi.testclient import TestClient
 
 from benchmarks.malformed_requests import malformed_requests
-from toolkit.cli.main import main
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.io.trajectories import read_tum
-from toolkit.rendering import backend, render_surface
 from toolkit.runs.finished import load_run
-from toolkit.serving.admission import Computations
-from toolkit.serving.application import build_application
-from toolkit.serving.options import ServiceLimits
-from toolkit.serving.served_run import NotAvailableError, ServedRun
+from toolkit.splatting.rendering import backend, render_surface
+from toolkit.tools.cli.main import main
+from toolkit.tools.serving.admission import Computations
+from toolkit.tools.serving.application import build_application
+from toolkit.tools.serving.options import ServiceLimits
+from toolkit.tools.serving.served_run import NotAvailableError, ServedRun
 
 BASE = "http://127.0.0.1"
 IDENTITY = {"translation_m": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}

@@ -9,8 +9,8 @@ from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
 from toolkit.semantics.paths import NoPathError
-from toolkit.serving.map_tools import MapTools
-from toolkit.serving.served_run import ServedRun
+from toolkit.tools.serving.map_tools import MapTools
+from toolkit.tools.serving.served_run import ServedRun
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 from slam_room import SlamRoom, first_steps
 
-from toolkit.alignment import matching
-from toolkit.loops.registration import pooled
+from toolkit.slam.loops.registration import pooled
+from toolkit.splatting.alignment import matching
 
 
 @pytest.fixture(scope="session")

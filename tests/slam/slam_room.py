@@ -9,24 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
-from toolkit.mapping.semantic_mapping import build_semantic_mapping
-from toolkit.options import validated
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.options import validated
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.labeller import IgnoredPixels
 from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
+from toolkit.semantics.taxonomy_building.factory import build_labeller
 from toolkit.slam.frame_preparation import FrameSources
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.slam.system import FrameResult, Slam
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.placement import KeyframePlacement
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
-from toolkit.taxonomy_building.factory import build_labeller
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.placement import KeyframePlacement
 
 FEW = MapperOptions(iterations=4, first_iterations=12, final_iterations=2)
 

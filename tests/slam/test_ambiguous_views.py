@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 from slam_room import FEW
 
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
-from toolkit.mapping.mapper import Mapper
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.mapper import Mapper
 from toolkit.slam.system import Slam
-from toolkit.tracking.dense import DenseTracker
+from toolkit.slam.tracking.dense import DenseTracker
 
 CAMERA = Camera(128.0, 128.0, 79.5, 59.5, 160, 120)
 Grey = NDArray[np.float64]

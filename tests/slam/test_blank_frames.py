@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from slam_room import FEW, first_steps, new_slam
 
-from toolkit.mapping.mapper import Mapper
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.mapper import Mapper
 from toolkit.slam.system import Slam
-from toolkit.tracking.given import GivenPoses
-from toolkit.tracking.health import is_blank
+from toolkit.slam.tracking.given import GivenPoses
+from toolkit.slam.tracking.health import is_blank
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from slam_room import first_steps, new_slam
 
-from toolkit.frame import Frame
-from toolkit.geometry import se3
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
 from toolkit.slam.carrier_watch import CarrierWatch
 from toolkit.slam.frame_preparation import FrameSources
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from toolkit.errors import RunFolderError
+from toolkit.base.errors import RunFolderError
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.folder import RunFolder
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from slam_room import FEW, another_place, fed, first_steps
 
-from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
-from toolkit.loops.closing.options import LoopClosureOptions
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.options import validated
+from toolkit.base.options import validated
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.slam.loops.closing.options import LoopClosureOptions
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.system import Slam
-from toolkit.tracking.confirmation import shows_same_place
-from toolkit.tracking.dense import DenseTracker
+from toolkit.slam.tracking.confirmation import shows_same_place
+from toolkit.slam.tracking.dense import DenseTracker
 
 pytestmark = pytest.mark.usefixtures("few_matches")
 

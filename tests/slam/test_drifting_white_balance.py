@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from tests.slam.slam_room import FEW, first_steps
-from toolkit.evaluation.images import psnr_db
-from toolkit.exposure import NEUTRAL
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.boundary import start_at, start_next
-from toolkit.mapping.mapper import Mapper
-from toolkit.rendering import render
+from toolkit.base.exposure import NEUTRAL
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.runs.evaluation.images import psnr_db
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.boundary import start_at, start_next
+from toolkit.slam.mapping.mapper import Mapper
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam
-from toolkit.tracking.dense import DenseTracker
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.splatting.rendering import render
 
 FRAMES = first_steps(20).frames
 

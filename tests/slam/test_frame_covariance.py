@@ -8,7 +8,7 @@ import numpy as np
 from slam_room import fed, first_steps, new_slam
 
 from toolkit.slam.frame_covariance import by_shutter, by_view
-from toolkit.tracking.result import Health, not_tracked
+from toolkit.slam.tracking.result import Health, not_tracked
 
 FRAME = first_steps(1).frames[0]
 TURN = np.array([0.3, 0.0, 0.0, 0.0, 1.0, 0.0])

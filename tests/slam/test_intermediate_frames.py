@@ -9,18 +9,18 @@ import numpy as np
 from painted_box import box_frames
 from slam_room import FEW, fed, fingerprint
 
-from toolkit.exposure import Exposure
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.boundary import start_next
-from toolkit.mapping.intermediate_frames import IntermediateFrames
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import KeyframePolicy
+from toolkit.base.exposure import Exposure
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.keyframe import Keyframe
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.boundary import start_next
+from toolkit.slam.mapping.intermediate_frames import IntermediateFrames
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import KeyframePolicy
 from toolkit.slam.system import Slam
-from toolkit.tracking.given import GivenPoses
+from toolkit.slam.tracking.given import GivenPoses
 
 # Only the first and the last of three frames become keyframes. The fourfold number of iterations is
 # taken on such small images.

@@ -13,23 +13,23 @@ import torch
 import yaml
 from killed_runs import kept_checkpoints
 
-from toolkit.cli.main import main
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.frustum import Frustum
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.options import validated
 from toolkit.datasets.registry import open_dataset
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.frustum import Frustum
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
-from toolkit.options import validated
 from toolkit.runs.building import build_slam
 from toolkit.runs.execution import run
 from toolkit.runs.finished import load_run
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.length_unit import LengthUnit
 from toolkit.slam.result import FrameResult
+from toolkit.slam.tracking.result import not_tracked
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.synthetic_rooms import tiny_room
-from toolkit.tracking.result import not_tracked
+from toolkit.tools.cli.main import main
 
 FRAMES, SIZE = 8, (80, 60)
 

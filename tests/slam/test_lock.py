@@ -8,7 +8,7 @@ import sys
 import pytest
 from filelock import FileLock
 
-from toolkit.errors import RunFolderError
+from toolkit.base.errors import RunFolderError
 from toolkit.runs.lock import locked
 
 HOLD = """

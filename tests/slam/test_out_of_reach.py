@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from slam_room import blind_frames, fed, first_steps, new_slam
 
-from toolkit.frame import Frame
+from toolkit.base.frame import Frame
 from toolkit.slam.camera_path import CameraPath
-from toolkit.tracking.result import Health
+from toolkit.slam.tracking.result import Health
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ from typing import get_args
 import pytest
 import yaml
 
-from toolkit.errors import SettingsError
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.options import as_plain, validated
+from toolkit.base.errors import SettingsError
+from toolkit.base.options import as_plain, validated
 from toolkit.runs.building import build_slam
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.settings import PRESETS, PresetName, RunSettings, load_settings
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.synthetic_rooms.vocabulary import CLASS_IDS

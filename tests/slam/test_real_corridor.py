@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from toolkit.base.geometry import se3
 from toolkit.datasets.registry import open_dataset
-from toolkit.geometry import se3
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
 

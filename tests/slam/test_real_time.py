@@ -13,15 +13,15 @@ import pytest
 from simulated_clock import SimulatedClock
 from slam_room import FEW, SlamRoom, blind_frames
 
-from toolkit.frame import Frame
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import KeyframePolicy, MapperOptions
-from toolkit.pacing.options import PacingOptions
-from toolkit.pacing.paced import PacedSlam
+from toolkit.base.frame import Frame
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import KeyframePolicy, MapperOptions
+from toolkit.slam.pacing.options import PacingOptions
+from toolkit.slam.pacing.paced import PacedSlam
 from toolkit.slam.system import Slam
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.placement import KeyframePlacement
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.placement import KeyframePlacement
 
 FPS = 20.0
 # Seconds that the stages take; a step is timed as "map forward".

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from slam_room import blind_frames, fed, fingerprint, first_steps, new_slam
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 
 FROZEN = range(6, 10)
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from slam_room import SlamRoom, blind_frames, fed, fingerprint, new_semantic_slam, new_slam
 
-from toolkit.evaluation.trajectory import absolute_trajectory_error
-from toolkit.frame import Frame
-from toolkit.geometry import se3
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.slam.frame_preparation import FrameSources
-from toolkit.tracking.initial_velocity import initial_velocity
-from toolkit.tracking.rolling_shutter import as_exposed, velocity_between
+from toolkit.slam.tracking.initial_velocity import initial_velocity
+from toolkit.slam.tracking.rolling_shutter import as_exposed, velocity_between
 
 READOUT_S = 0.02
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.cli.main import main
-from toolkit.errors import RunFolderError, SettingsError
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.errors import RunFolderError, SettingsError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.runs.folder import MapPart, RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.tools.cli.main import main
 
 CONFIG = dump_settings(RunSettings(seed=12))
 

@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from slam_room import FEW, another_place, blind_frames, fed, fingerprint, first_steps
 
-from toolkit.exposure import IDENTITY
-from toolkit.gaussians.cloud import LOW_PASS_3DGS
-from toolkit.geometry import se3
-from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
-from toolkit.loops.closing.options import LoopClosureOptions
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import KeyframePolicy
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.options import validated
+from toolkit.base.exposure import IDENTITY
+from toolkit.base.geometry import se3
+from toolkit.base.options import validated
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.slam.loops.closing.options import LoopClosureOptions
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import KeyframePolicy
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.submaps.allocation import Allocation
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.submaps.options import AllocationOptions
+from toolkit.slam.submaps.store import SubmapStore
 from toolkit.slam.system import Slam
-from toolkit.submaps.allocation import Allocation
-from toolkit.submaps.atlas import Atlas
-from toolkit.submaps.options import AllocationOptions
-from toolkit.submaps.store import SubmapStore
-from toolkit.tracking.dense import DenseTracker
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS
 
 pytestmark = pytest.mark.usefixtures("few_matches")
 

@@ -9,25 +9,25 @@ import numpy as np
 import pytest
 from slam_room import FEW, fed, fingerprint, first_steps
 
-from toolkit.geometry import se3
-from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
-from toolkit.loops.closing.odometry import SubmapOdometry
-from toolkit.loops.closing.options import ClosingOptions, LoopClosureOptions
-from toolkit.loops.pose_graph.noise import OdometryNoise
-from toolkit.mapping import keyframes
-from toolkit.mapping.boundary import start_next
-from toolkit.mapping.final_optimisation import step_count
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import KeyframePolicy
-from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph.noise import OdometryNoise
 from toolkit.slam import submap_changes
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.slam.loops.closing.odometry import SubmapOdometry
+from toolkit.slam.loops.closing.options import ClosingOptions, LoopClosureOptions
+from toolkit.slam.mapping import keyframes
+from toolkit.slam.mapping.boundary import start_next
+from toolkit.slam.mapping.final_optimisation import step_count
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import KeyframePolicy
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.submaps.allocation import Allocation
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.submaps.options import AllocationOptions
+from toolkit.slam.submaps.store import SubmapStore
 from toolkit.slam.system import Slam
-from toolkit.submaps.allocation import Allocation
-from toolkit.submaps.atlas import Atlas
-from toolkit.submaps.options import AllocationOptions
-from toolkit.submaps.store import SubmapStore
-from toolkit.tracking.dense import DenseTracker
+from toolkit.slam.tracking.dense import DenseTracker
 
 pytestmark = pytest.mark.usefixtures("few_matches")
 COUNT = 24

@@ -14,21 +14,21 @@ import pytest
 from slam_room import FEW, SlamRoom, fed, fingerprint, new_semantic_slam, new_slam
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.frame import Frame, NullRecorder
-from toolkit.geometry import se3
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
-from toolkit.rendering import render
+from toolkit.base.frame import Frame, NullRecorder
+from toolkit.base.geometry import se3
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.folder import RunFolder
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.submaps.atlas import Atlas
 from toolkit.slam.system import Slam
-from toolkit.submaps.atlas import Atlas
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.first_order_tracker import FirstOrderTracker
+from toolkit.slam.tracking.given import GivenPoses
+from toolkit.slam.tracking.options import FirstOrderOptions
+from toolkit.splatting.rendering import render
 from toolkit.synthetic_rooms import tiny_room
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.first_order_tracker import FirstOrderTracker
-from toolkit.tracking.given import GivenPoses
-from toolkit.tracking.options import FirstOrderOptions
 
 
 def errors_m(slam: Slam, room: SlamRoom) -> np.ndarray:

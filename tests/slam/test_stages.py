@@ -9,10 +9,10 @@ from dataclasses import replace
 import pytest
 from slam_room import SlamRoom, another_place
 
-from toolkit.options import validated
+from toolkit.base.options import validated
+from toolkit.base.stages import COLUMNS, Stage
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
-from toolkit.stages import COLUMNS, Stage
 
 IN_COLUMNS = {stage for stages in COLUMNS.values() for stage in stages}
 

@@ -10,27 +10,27 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
-from toolkit.rendering import render
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.trees import shipped_taxonomy
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.submaps.allocation import Allocation, path_length_m, view_overlap
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.submaps.factory import allocation_options
+from toolkit.slam.submaps.optimiser_state import OptimiserState
+from toolkit.slam.submaps.options import AllocationOptions, BoundaryOptions
+from toolkit.slam.submaps.store import SavedSubmaps, SubmapStore
+from toolkit.slam.submaps.submap import Submap
 from toolkit.slam.system import Slam
-from toolkit.submaps.allocation import Allocation, path_length_m, view_overlap
-from toolkit.submaps.atlas import Atlas
-from toolkit.submaps.factory import allocation_options
-from toolkit.submaps.optimiser_state import OptimiserState
-from toolkit.submaps.options import AllocationOptions, BoundaryOptions
-from toolkit.submaps.store import SavedSubmaps, SubmapStore
-from toolkit.submaps.submap import Submap
+from toolkit.slam.tracking.given import GivenPoses
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import render
 from toolkit.synthetic_rooms import tiny_room
-from toolkit.tracking.given import GivenPoses
 
 FEW = MapperOptions(iterations=3, first_iterations=10, final_iterations=2)
 

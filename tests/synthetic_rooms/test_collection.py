@@ -11,11 +11,11 @@ import pytest
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy_building.vocabulary import SHAPES
 from toolkit.synthetic_rooms import collection
 from toolkit.synthetic_rooms.furniture import Workshop
 from toolkit.synthetic_rooms.layouts import single_room
 from toolkit.synthetic_rooms.parts import bounds
-from toolkit.taxonomy_building.vocabulary import SHAPES
 
 CLASSES, FRAMES = 300, 8
 
@@ -26,7 +26,7 @@ def folder(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("rooms") / "collection"
     words = ["--classes", str(CLASSES), "--frames", str(FRAMES), "--image-size", "160", "120"]
     subprocess.run(
-        [sys.executable, "-m", "toolkit.cli.main", "make-room", "--out", path, *words,
+        [sys.executable, "-m", "toolkit.tools.cli.main", "make-room", "--out", path, *words,
          "--unseen", "0"],
         check=True, capture_output=True,
     )  # fmt: skip

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.canvas import Canvas
 from toolkit.synthetic_rooms.layouts import (

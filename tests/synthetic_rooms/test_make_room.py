@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from toolkit.cli.main import main as program
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.open3d_bridge import open3d
 from toolkit.synthetic_rooms import RoomSettings, SensorModel, make_room, tiny_room
 from toolkit.synthetic_rooms.layouts import PLAIN_CLASSES
 from toolkit.synthetic_rooms.unseen import _visible_fraction, poses_off_the_path
 from toolkit.synthetic_rooms.writer import _stored
+from toolkit.tools.cli.main import main as program
 
 TINY = RoomSettings(frames=6, share=0.1, width=64, height=48, unseen=2)
 LAUNCHER = Path(__file__).parents[2] / "data_tools" / "make_room.py"

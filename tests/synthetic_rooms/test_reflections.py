@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from toolkit.cli.main import main as program
+from toolkit.base.errors import SettingsError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import SettingsError
-from toolkit.geometry.camera import Camera
 from toolkit.synthetic_rooms import RoomSettings, SensorModel, finishes, make_room
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.finishes import LACQUER_REFLECTANCE, Finish, coated, reflectance
@@ -24,6 +23,7 @@ from toolkit.synthetic_rooms.ray_casting import RayCastView, Scene
 from toolkit.synthetic_rooms.reflections import Reflection, measured_depth, polished
 from toolkit.synthetic_rooms.vocabulary import GLOSSY_CLASS_NAMES, numbered
 from toolkit.synthetic_rooms.writer import DEPTH_SCALE
+from toolkit.tools.cli.main import main as program
 
 CAMERA = Camera(100.0, 100.0, 63.5, 47.5, 128, 96)
 LAMPS_M = np.array([[0.0, 0.0, 2.6]])

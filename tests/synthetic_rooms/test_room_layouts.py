@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.synthetic_rooms.furnishing import STYLES, furnish
 from toolkit.synthetic_rooms.furniture import Workshop
 from toolkit.synthetic_rooms.layouts import (

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.synthetic_rooms import atlas
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts

@@ -5,8 +5,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.synthetic_rooms.ray_casting import RayCastView
 from toolkit.synthetic_rooms.sensor import Sensor, SensorModel
 

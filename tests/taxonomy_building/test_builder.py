@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.baseline_trees import alphabetical_taxonomy, random_taxonomy
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.semantics.taxonomy_building.rules import RuleGrouper
+from toolkit.semantics.taxonomy_building.shapes import GivenShapes
+from toolkit.semantics.taxonomy_building.vocabulary import built_in
 from toolkit.semantics.taxonomy_parsing import folded
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
-from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.taxonomy_building.rules import RuleGrouper
-from toolkit.taxonomy_building.shapes import GivenShapes
-from toolkit.taxonomy_building.vocabulary import built_in
 
 WORDS = [entry.word for entry in built_in()]
 LISTS = Path(__file__).resolve().parents[2] / "benchmarks" / "data"

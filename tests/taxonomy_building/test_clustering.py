@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.taxonomy_building.clustering import (
+from toolkit.semantics.taxonomy_building.clustering import (
     balanced,
     clusters_of,
     standardised,

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.errors import ToolkitError
-from toolkit.taxonomy_building.critic import settle
-from toolkit.taxonomy_building.grouper import Grouping, InvalidAnswerError, Question
-from toolkit.taxonomy_building.names import Matcher, clean_label, distinct, fold
+from toolkit.base.errors import ToolkitError
+from toolkit.semantics.taxonomy_building.critic import settle
+from toolkit.semantics.taxonomy_building.grouper import Grouping, InvalidAnswerError, Question
+from toolkit.semantics.taxonomy_building.names import Matcher, clean_label, distinct, fold
 
 ITEMS = ("base-cabinet", "bed", "chair", "lamp", "shelf", "sofa")
 QUESTION = Question(ITEMS, "function")

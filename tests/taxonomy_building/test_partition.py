@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.taxonomy_building.partition import (
+from toolkit.semantics.taxonomy_building.partition import (
     _JOINED,
     _SINGLE,
     _SPLIT,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.taxonomy_building.grouper import Question
-from toolkit.taxonomy_building.rules import RuleGrouper
-from toolkit.taxonomy_building.vocabulary import ObjectVocabulary, built_in
+from toolkit.semantics.taxonomy_building.grouper import Question
+from toolkit.semantics.taxonomy_building.rules import RuleGrouper
+from toolkit.semantics.taxonomy_building.vocabulary import ObjectVocabulary, built_in
 
 WORDS = [entry.word for entry in built_in()]
 NAMES = st.one_of(st.sampled_from(WORDS), st.text("abcdefg -", min_size=1, max_size=12))

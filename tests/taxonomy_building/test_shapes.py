@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.errors import DatasetError, DependencyError, FormatError
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
-from toolkit.taxonomy_building.measured_shapes import (
+from toolkit.base.errors import DatasetError, DependencyError, FormatError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.semantics.taxonomy_building.measured_shapes import (
     LabelledScan,
     MeshShapes,
     ScanShapes,
     labelled_scan,
 )
-from toolkit.taxonomy_building.mesh_model_shapes import MeshModelShapes
-from toolkit.taxonomy_building.shape_statistics import (
+from toolkit.semantics.taxonomy_building.mesh_model_shapes import MeshModelShapes
+from toolkit.semantics.taxonomy_building.shape_statistics import (
     STATISTICS,
     instances,
     shape_statistics,
 )
-from toolkit.taxonomy_building.shapes import GivenShapes, read_shape_table
+from toolkit.semantics.taxonomy_building.shapes import GivenShapes, read_shape_table
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -8,7 +8,7 @@ from collections import Counter
 
 import pytest
 
-from toolkit.taxonomy_building.vocabulary import SHAPES, UNKNOWN, built_in
+from toolkit.semantics.taxonomy_building.vocabulary import SHAPES, UNKNOWN, built_in
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_no_word_stands_in_two_places():
             else:
                 words.update(w.strip().replace(" ", "") for w in value.split(","))
 
-    folder = resources.files("toolkit.taxonomy_building")
+    folder = resources.files("toolkit.semantics.taxonomy_building")
     count(yaml.safe_load((folder / "vocabulary.yaml").read_text("utf-8")))
     assert [w for w, n in words.items() if n > 1] == []
 

@@ -7,8 +7,8 @@ from types import ModuleType
 import pytest
 from tracked_room import Room, first_steps, map_of_first_frame
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.native import available_instruction_sets, load_variant
+from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 
 @pytest.fixture(scope="session")

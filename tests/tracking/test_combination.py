@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.alignment.determinacy import UNITS
-from toolkit.geometry import se3
-from toolkit.tracking.combination import combined
-from toolkit.tracking.feature_pose import FeaturePose
+from toolkit.base.geometry import se3
+from toolkit.slam.tracking.combination import combined
+from toolkit.slam.tracking.feature_pose import FeaturePose
+from toolkit.splatting.alignment.determinacy import UNITS
 
 SIDEWAYS = np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
 

@@ -18,13 +18,13 @@ from tracked_room import (
     small_motion,
 )
 
-from toolkit.alignment import backend as alignment_backend
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.rendering import surface, texture
-from toolkit.tracking import dense
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.result import Health
+from toolkit.base.geometry import se3
+from toolkit.slam.tracking import dense
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.result import Health
+from toolkit.splatting.alignment import backend as alignment_backend
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import surface, texture
 
 
 def started(room: Room) -> DenseTracker:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolkit.tracking import depth_filter
-from toolkit.tracking.depth_filter import DepthFilter, denoised, inverse_depth_noise
+from toolkit.slam.tracking import depth_filter
+from toolkit.slam.tracking.depth_filter import DepthFilter, denoised, inverse_depth_noise
 
 NOISE = 2e-3  # 1 / m, 8 mm at 2 m
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.native import available_instruction_sets, load_variant
-from toolkit.tracking import depth_filter
-from toolkit.tracking.depth_filter import denoised, without_gaps
+from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.slam.tracking import depth_filter
+from toolkit.slam.tracking.depth_filter import denoised, without_gaps
 
 
 def slanted() -> np.ndarray:

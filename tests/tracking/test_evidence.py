@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from tracked_room import Room, small_motion
 
-from toolkit.alignment.similarity import Similarity
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.evidence import doubt_reason, is_clear, quality
-from toolkit.tracking.result import Health
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.evidence import doubt_reason, is_clear, quality
+from toolkit.slam.tracking.result import Health
+from toolkit.splatting.alignment.similarity import Similarity
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 RIGHT = Similarity(0.95, 0.85, 60, 0.8, 0.95)
 

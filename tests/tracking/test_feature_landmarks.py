@@ -7,11 +7,11 @@ import pytest
 import torch
 from tracked_room import Room, assert_same_place, small_motion
 
-from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.levels import finest_level
-from toolkit.geometry import se3
-from toolkit.tracking.feature_pose import FeaturePose
-from toolkit.tracking.landmarks import Landmarks
+from toolkit.base.geometry import se3
+from toolkit.slam.tracking.feature_pose import FeaturePose
+from toolkit.slam.tracking.landmarks import Landmarks
+from toolkit.splatting.alignment.data import FrameLevel
+from toolkit.splatting.alignment.levels import finest_level
 
 
 @pytest.fixture(scope="module")

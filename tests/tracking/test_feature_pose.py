@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.tracking.feature_pose import Observations, projected
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.slam.tracking.feature_pose import Observations, projected
 
 Array = NDArray[np.float64]
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from tracked_room import Room, blind_frame, dead_sensor_frame
 
-from toolkit.frame import Frame
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import MapperOptions
 from toolkit.slam.system import Slam
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.first_order_tracker import FirstOrderTracker
-from toolkit.tracking.given import GivenPoses
-from toolkit.tracking.options import FirstOrderOptions
-from toolkit.tracking.tracker import Tracker
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.first_order_tracker import FirstOrderTracker
+from toolkit.slam.tracking.given import GivenPoses
+from toolkit.slam.tracking.options import FirstOrderOptions
+from toolkit.slam.tracking.tracker import Tracker
 
 
 def without_numbers(like: Frame) -> Frame:

@@ -22,23 +22,23 @@ from tracked_room import (
     small_motion,
 )
 
-from toolkit.alignment.pose_adam import pose_gradient
-from toolkit.errors import SettingsError
-from toolkit.exposure import IDENTITY
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
-from toolkit.mapping.options import MapperOptions
-from toolkit.rendering import backend
+from toolkit.base.errors import SettingsError
+from toolkit.base.exposure import IDENTITY
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.codes import binary_code
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.tracking import first_order_tracker
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.factory import build_tracker
+from toolkit.slam.tracking.first_order_tracker import FirstOrderTracker
+from toolkit.slam.tracking.options import FirstOrderOptions, TrackingOptions
+from toolkit.splatting.alignment.pose_adam import pose_gradient
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
+from toolkit.splatting.rendering import backend
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
-from toolkit.tracking import first_order_tracker
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.factory import build_tracker
-from toolkit.tracking.first_order_tracker import FirstOrderTracker
-from toolkit.tracking.options import FirstOrderOptions, TrackingOptions
 
 BOTH = pytest.mark.parametrize("preset", sorted(PRESETS))
 

@@ -8,11 +8,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
+from toolkit.slam.tracking.given import GivenPoses
+from toolkit.slam.tracking.guided import GuidedTracker
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.synthetic_rooms import tiny_room
-from toolkit.tracking.given import GivenPoses
-from toolkit.tracking.guided import GuidedTracker
 
 
 @settings(max_examples=5, deadline=None)

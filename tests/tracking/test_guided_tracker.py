@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from tracked_room import Room, distance_mm, small_motion
 
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.tracking.guided import GuidedTracker
-from toolkit.tracking.result import Health
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.slam.tracking.guided import GuidedTracker
+from toolkit.slam.tracking.result import Health
 
 
 def without_depth(frame: Frame) -> Frame:

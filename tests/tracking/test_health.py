@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from toolkit.alignment.data import INITIAL_SCALES, ResidualScales
-from toolkit.tracking.health import relaxed_scales
+from toolkit.slam.tracking.health import relaxed_scales
+from toolkit.splatting.alignment.data import INITIAL_SCALES, ResidualScales
 
 
 def test_scales_grow_with_lost_frames_up_to_those_of_a_first_frame():

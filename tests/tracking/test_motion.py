@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from toolkit.geometry import se3
-from toolkit.tracking.motion import ConstantVelocity
+from toolkit.base.geometry import se3
+from toolkit.slam.tracking.motion import ConstantVelocity
 
 tangents = arrays(np.float64, 6, elements=st.floats(-0.4, 0.4))
 

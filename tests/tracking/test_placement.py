@@ -9,10 +9,10 @@ import pytest
 import torch
 from registered_room import Scene, error, motion, scene, seen_by, stranger
 
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe, fractions_observed
-from toolkit.tracking import placement as placement_module
-from toolkit.tracking.placement import KeyframePlacement
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe, fractions_observed
+from toolkit.slam.tracking import placement as placement_module
+from toolkit.slam.tracking.placement import KeyframePlacement
 
 
 @pytest.fixture(scope="module")

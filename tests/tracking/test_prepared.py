@@ -10,11 +10,11 @@ import pytest
 import torch
 from tracked_room import Room
 
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.tracking import prepared as module
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.prepared import PreparedFrames, prepared
+from toolkit.base.frame import Frame
+from toolkit.slam.tracking import prepared as module
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.prepared import PreparedFrames, prepared
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 CPU = torch.device("cpu")
 

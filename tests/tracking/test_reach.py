@@ -7,12 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.alignment.similarity import Similarity
-from toolkit.geometry import se3
-from toolkit.tracking.feature_pose import FeaturePose
-from toolkit.tracking.motion import ConstantVelocity
-from toolkit.tracking.reach import Reach, is_only_place, likeliest, mean_pace, unless_contradicted
-from toolkit.tracking.result import Health, TrackingResult, not_tracked
+from toolkit.base.geometry import se3
+from toolkit.slam.tracking.feature_pose import FeaturePose
+from toolkit.slam.tracking.motion import ConstantVelocity
+from toolkit.slam.tracking.reach import (
+    Reach,
+    is_only_place,
+    likeliest,
+    mean_pace,
+    unless_contradicted,
+)
+from toolkit.slam.tracking.result import Health, TrackingResult, not_tracked
+from toolkit.splatting.alignment.similarity import Similarity
 
 
 class MetreTask:

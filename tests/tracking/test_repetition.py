@@ -9,12 +9,12 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.levels import model_level
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.tracking.reach import Reach
-from toolkit.tracking.repetition import repeats_beyond, repetitions
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.slam.tracking.reach import Reach
+from toolkit.slam.tracking.repetition import repeats_beyond, repetitions
+from toolkit.splatting.alignment.data import FrameLevel
+from toolkit.splatting.alignment.levels import model_level
 
 CAMERA = Camera(80.0, 80.0, 47.5, 35.5, 96, 72)
 DEPTH_M, PERIOD_PX = 2.0, 12

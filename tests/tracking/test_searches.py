@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from tracked_room import Room, assert_same_place, blind_frame, distance_mm, small_motion
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.tracking.dense import DenseTracker
-from toolkit.tracking.proposals import FeatureProposals
-from toolkit.tracking.rotation_search import wide_camera
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.slam.tracking.proposals import FeatureProposals
+from toolkit.slam.tracking.rotation_search import wide_camera
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 
 def nothing(_view: Keyframe) -> list[Keyframe]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from toolkit.alignment.data import FrameLevel
-from toolkit.alignment.levels import model_level
-from toolkit.geometry.camera import Camera
-from toolkit.tracking.view_dependence import AlignedView, view_dependent, without_gradient
+from toolkit.base.geometry.camera import Camera
+from toolkit.slam.tracking.view_dependence import AlignedView, view_dependent, without_gradient
+from toolkit.splatting.alignment.data import FrameLevel
+from toolkit.splatting.alignment.levels import model_level
 
 CAMERA = Camera(64.0, 64.0, 39.5, 29.5, 80, 60)
 PATH_M = (0.0, 0.25, 0.5, -0.25)

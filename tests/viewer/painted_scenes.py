@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry.camera import Camera
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.viewer.scene import ShownKeyframe, ShownLoop, ShownSplats, ShownTree, ViewerScene
+from toolkit.tools.viewer.scene import ShownKeyframe, ShownLoop, ShownSplats, ShownTree, ViewerScene
 
 CAMERA = Camera(fx=80.0, fy=80.0, cx=39.5, cy=29.5, width=80, height=60)
 

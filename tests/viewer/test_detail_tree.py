@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from painted_scenes import two_panels
 
-from toolkit.viewer.detail_tree import DetailTree
-from toolkit.viewer.moments import Moments
-from toolkit.viewer.scene import ShownSplats
+from toolkit.tools.viewer.detail_tree import DetailTree
+from toolkit.tools.viewer.moments import Moments
+from toolkit.tools.viewer.scene import ShownSplats
 
 
 def splats_at(means_m: np.ndarray, sigma_m: float = 0.01) -> ShownSplats:

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from painted_scenes import two_panels
 
-from toolkit.errors import RunFolderError
+from toolkit.base.errors import RunFolderError
 from toolkit.io.addresses import bind
 from toolkit.io.splats import read_splats
 from toolkit.runs.finished import load_run
-from toolkit.viewer.live import LiveRun, follow
-from toolkit.viewer.options import ShownContent
-from toolkit.viewer.server import MapServer
-from toolkit.viewer.streaming import WholeMap
+from toolkit.tools.viewer.live import LiveRun, follow
+from toolkit.tools.viewer.options import ShownContent
+from toolkit.tools.viewer.server import MapServer
+from toolkit.tools.viewer.streaming import WholeMap
 
 
 @pytest.fixture

@@ -12,12 +12,12 @@ import pytest
 from painted_scenes import two_panels
 
 from toolkit.io.addresses import bind
-from toolkit.viewer import connections
-from toolkit.viewer.connections import MAX_CONNECTIONS
-from toolkit.viewer.html import served_page
-from toolkit.viewer.packing import pack_splats
-from toolkit.viewer.server import MapServer, own_names
-from toolkit.viewer.streaming import StreamedMap, WholeMap
+from toolkit.tools.viewer import connections
+from toolkit.tools.viewer.connections import MAX_CONNECTIONS
+from toolkit.tools.viewer.html import served_page
+from toolkit.tools.viewer.packing import pack_splats
+from toolkit.tools.viewer.server import MapServer, own_names
+from toolkit.tools.viewer.streaming import StreamedMap, WholeMap
 
 
 @pytest.fixture

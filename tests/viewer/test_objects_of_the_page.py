@@ -9,8 +9,8 @@ import pytest
 from browser_pages import WatchedPage, chromium
 from painted_scenes import two_panels
 
-from toolkit.viewer.html import write_page
-from toolkit.viewer.scene import ShownObject
+from toolkit.tools.viewer.html import write_page
+from toolkit.tools.viewer.scene import ShownObject
 
 CHAIR, SOFA = ("furniture", "seat", "chair"), ("furniture", "seat", "sofa")
 

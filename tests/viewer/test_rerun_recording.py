@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from tiny_recording import FRAMES
 
-from toolkit.cli.main import main
+from toolkit.base.errors import SettingsError
 from toolkit.datasets.registry import open_dataset
-from toolkit.errors import SettingsError
 from toolkit.runs.finished import load_run
+from toolkit.tools.cli.main import main
 
 WORDS = ["--mapping.first-iterations", "4", "--mapping.final-iterations", "1"]
 
@@ -136,7 +136,7 @@ def test_a_missing_package_is_reported_before_the_run(monkeypatch, tmp_path, cap
 
 def test_bad_names_are_reported_before_the_run(tmp_path: Path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
-    from toolkit.viewer.rerun_recorder import RerunRecorder
+    from toolkit.tools.viewer.rerun_recorder import RerunRecorder
 
     existing = tmp_path / "old.rrd"
     existing.write_bytes(b"precious")

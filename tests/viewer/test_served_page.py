@@ -14,10 +14,10 @@ from browser_pages import WatchedPage, chromium, mean_colour
 from painted_scenes import two_panels
 
 from toolkit.io.addresses import bind
-from toolkit.viewer.html import write_page
-from toolkit.viewer.scene import ShownNode, ShownObject, ShownTree, ViewerScene
-from toolkit.viewer.server import MapServer
-from toolkit.viewer.streaming import ServedMap, StreamedMap, WholeMap
+from toolkit.tools.viewer.html import write_page
+from toolkit.tools.viewer.scene import ShownNode, ShownObject, ShownTree, ViewerScene
+from toolkit.tools.viewer.server import MapServer
+from toolkit.tools.viewer.streaming import ServedMap, StreamedMap, WholeMap
 
 # Pixels on the table and on the wall, in the first view.
 TABLE, WALL = (350, 280), (570, 280)

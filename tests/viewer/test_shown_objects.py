@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.errors import FormatError
-from toolkit.viewer.shown_objects import graph_objects, read_graph_objects
+from toolkit.base.errors import FormatError
+from toolkit.tools.viewer.shown_objects import graph_objects, read_graph_objects
 
 
 def node(number: int, name: str, kind: str = "object", rooms: tuple[int, ...] = (1,)) -> dict:

@@ -11,10 +11,10 @@ from browser_pages import WatchedPage, chromium, mean_colour
 from painted_scenes import two_panels
 
 from toolkit.io.addresses import bind
-from toolkit.viewer.html import write_page
-from toolkit.viewer.scene import ViewerScene
-from toolkit.viewer.server import MapServer
-from toolkit.viewer.streaming import StreamedMap, tallies
+from toolkit.tools.viewer.html import write_page
+from toolkit.tools.viewer.scene import ViewerScene
+from toolkit.tools.viewer.server import MapServer
+from toolkit.tools.viewer.streaming import StreamedMap, tallies
 
 COUNT, BUDGET = 8_000, 5_000
 # Pixels on the table and on the wall, in the first view.

@@ -17,16 +17,16 @@ from pathlib import Path
 import pytest
 import torch
 
-from toolkit.cli.main import main
 from toolkit.io.splats import write_splat_ply
 from toolkit.runs.splat_clouds import read_cloud
+from toolkit.tools.cli.main import main
 
 
 @contextmanager
 def viewer(*words: object) -> Iterator[http.client.HTTPConnection]:
     """A connection to the program, which is interrupted at the end of the block."""
     with subprocess.Popen(
-        [sys.executable, "-m", "toolkit.cli.main", "view", *map(str, words), "--port", "0"],
+        [sys.executable, "-m", "toolkit.tools.cli.main", "view", *map(str, words), "--port", "0"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -10,11 +10,11 @@ import torch
 from browser_pages import WatchedPage, chromium, mean_colour
 from painted_scenes import two_panels
 
-from toolkit.cli.main import main
-from toolkit.gaussians.ellipsoids import harmonic_basis
 from toolkit.io.splat_shapes import relative_covariances
-from toolkit.viewer.html import link_from_report, write_page
-from toolkit.viewer.scene import (
+from toolkit.splatting.gaussians.ellipsoids import harmonic_basis
+from toolkit.tools.cli.main import main
+from toolkit.tools.viewer.html import link_from_report, write_page
+from toolkit.tools.viewer.scene import (
     HARMONIC_STEPS,
     ShownKeyframe,
     ShownObject,

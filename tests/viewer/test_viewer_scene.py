@@ -11,16 +11,16 @@ import pytest
 import torch
 from painted_scenes import CAMERA, tree, two_panels
 
-from toolkit.errors import ToolkitError
-from toolkit.exposure import IDENTITY
-from toolkit.gaussians.ellipsoids import Ellipsoids
+from toolkit.base.errors import ToolkitError
+from toolkit.base.exposure import IDENTITY
+from toolkit.base.keyframe import Keyframe
 from toolkit.io.splat_shapes import SplatShapes, relative_covariances
-from toolkit.keyframe import Keyframe
-from toolkit.viewer.keyframes import DepthEvidence
-from toolkit.viewer.options import ShownContent
-from toolkit.viewer.packing import pack
-from toolkit.viewer.reading import read_scene
-from toolkit.viewer.scene import (
+from toolkit.splatting.gaussians.ellipsoids import Ellipsoids
+from toolkit.tools.viewer.keyframes import DepthEvidence
+from toolkit.tools.viewer.options import ShownContent
+from toolkit.tools.viewer.packing import pack
+from toolkit.tools.viewer.reading import read_scene
+from toolkit.tools.viewer.scene import (
     DOUBTFUL,
     HARMONIC_STEPS,
     INTERRUPTED,
@@ -28,8 +28,8 @@ from toolkit.viewer.scene import (
     ViewerScene,
     path_states,
 )
-from toolkit.viewer.shapes import shape_columns
-from toolkit.viewer.thinning import thin
+from toolkit.tools.viewer.shapes import shape_columns
+from toolkit.tools.viewer.thinning import thin
 
 
 def test_a_run_is_described_with_classes_cameras_and_images(tiny_run):

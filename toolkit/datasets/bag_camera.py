@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.bag_topics import ImageTopic
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.geometry.camera import Camera
 
 _RADIAL = ("plumb_bob", "rational_polynomial", "", "none", "brown conrady", "pinhole", "radtan")
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt4", "kannala brandt4")

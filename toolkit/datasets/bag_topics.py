@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from toolkit.base.errors import DatasetError
 from toolkit.datasets.options import BagTopics
-from toolkit.errors import DatasetError
 from toolkit.io import ros_images
 from toolkit.io.bags import BagFile
 

@@ -14,17 +14,17 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.caching import ImageStore
+from toolkit.base.caching import ImageStore
+from toolkit.base.errors import DatasetError
+from toolkit.base.frame import Frame, without_pixels
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.orientation import oriented
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.resize import ImageGrid, enlarge_depth, enlarge_mask, resize_colour
 from toolkit.datasets.sparse_depth import filled
 from toolkit.datasets.undistortion import Undistortion
-from toolkit.errors import DatasetError
-from toolkit.frame import Frame, without_pixels
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.io import images
 from toolkit.io.guarded.images import MAX_PIXELS
 from toolkit.io.video import VideoFile

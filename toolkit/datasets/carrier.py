@@ -19,9 +19,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.frame import Frame
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.samples import spread_frames
-from toolkit.frame import Frame
 
 Mask = NDArray[np.bool_]
 

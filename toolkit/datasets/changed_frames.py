@@ -6,9 +6,9 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 
+from toolkit.base.frame import Frame
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.prefetch import prefetched
-from toolkit.frame import Frame
 
 
 class ChangedFrames(ABC):

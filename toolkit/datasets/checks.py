@@ -11,6 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from toolkit.base.errors import ToolkitError
+from toolkit.base.frame import Frame
 from toolkit.datasets.agreement.findings import contradictions
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.carrier import without_carrier
@@ -26,8 +28,6 @@ from toolkit.datasets.pairing import listed
 from toolkit.datasets.samples import evenly_spaced, readable, spread_frames
 from toolkit.datasets.shutter.recording import estimate_readout
 from toolkit.datasets.times import unit_fault
-from toolkit.errors import ToolkitError
-from toolkit.frame import Frame
 from toolkit.io.process_streams import STDERR, diverted
 
 # Minimum fraction of pixels with valid depth that tracking needs.

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from toolkit.base.errors import DatasetError
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.common_camera import common_camera
 from toolkit.datasets.pairing import attach_poses, listed, natural_key
-from toolkit.errors import DatasetError
 from toolkit.io.colmap import ColmapCamera, read_cameras, read_images
 
 FPS = 30.0

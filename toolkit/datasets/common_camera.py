@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from toolkit.base.errors import DatasetError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.pairing import listed
-from toolkit.errors import DatasetError
-from toolkit.geometry.camera import Camera
 
 # Recordings of phones have a focal length for each frame, because of the autofocus. A larger
 # relative deviation from the median is an error.

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
+from toolkit.base.frame import Frame
 
 Array = NDArray[np.float64]
 

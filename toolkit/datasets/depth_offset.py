@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.frame import Frame
 from toolkit.datasets.registration_check import RELATIVE_STEP, clipped
-from toolkit.frame import Frame
 
 _SMOOTHING_PX = 1.0
 # Distances from the edge, in half pixels, at which the gradient is sampled.

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.far_values import without_far_value
 from toolkit.datasets.samples import evenly_spaced
 from toolkit.datasets.sparse_depth import sparsity
-from toolkit.errors import DatasetError
 from toolkit.io import images
 
 # Number of frames that are read.

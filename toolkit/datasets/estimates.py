@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import Recording
-from toolkit.geometry.camera import Camera
 
 
 @dataclass(frozen=True)

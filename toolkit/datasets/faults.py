@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from toolkit.base.errors import DatasetError
+from toolkit.base.frame import Frame
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.prefetch import Frames
-from toolkit.errors import DatasetError
-from toolkit.frame import Frame
 
 # So many unreadable frames in a row are no accident.
 _MAX_IN_A_ROW = 10

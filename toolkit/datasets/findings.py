@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import Recording
 from toolkit.datasets.depth_kind import depth_kind_fault
 from toolkit.datasets.pairing import listed
 from toolkit.datasets.registration_check import measure_registration
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
 
 # Range of the median depth of most recordings, and of any sensor, metres.
 _USUAL_M, _POSSIBLE_M = (0.1, 30.0), (0.01, 200.0)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.pairing import (
     attach_poses,
@@ -17,8 +19,6 @@ from toolkit.datasets.pairing import (
     in_order,
     pairing_flaws,
 )
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import read_class_names
 from toolkit.io.guarded.documents import read_yaml
 from toolkit.io.trajectories import read_tum_lines, text_lines

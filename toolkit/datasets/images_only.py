@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.changed_frames import ChangedFrames
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
 
 
 class ImagesOnly(ChangedFrames):

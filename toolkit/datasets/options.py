@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from toolkit.options import Range
+from toolkit.base.options import Range
 
 DatasetKind = Literal[
     "synthetic",

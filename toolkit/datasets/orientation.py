@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry.camera import Camera
 
 # Directions of the shown image's x and y in the stored image, by orientation.
 _AXES = {

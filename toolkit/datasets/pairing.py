@@ -11,11 +11,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError, FormatError, SettingsError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.base import FrameFiles
-from toolkit.errors import DatasetError, FormatError, SettingsError
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.trajectories import read_matrix
 from toolkit.io.user_files import visible
 

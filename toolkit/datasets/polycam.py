@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.common_camera import camera_of_depth, common_camera
 from toolkit.datasets.pairing import (
@@ -25,8 +27,6 @@ from toolkit.datasets.pairing import (
     natural_key,
     unpaired,
 )
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.geometry.camera import Camera
 from toolkit.io.guarded.documents import read_json
 from toolkit.io.images import read_depth_m
 from toolkit.io.user_files import visible

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.samples import GAPS, SmallFrames
-from toolkit.frame import Frame
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

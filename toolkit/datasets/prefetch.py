@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Protocol, TypeVar
 
-from toolkit.frame import Frame
+from toolkit.base.frame import Frame
 
 Item = TypeVar("Item")
 

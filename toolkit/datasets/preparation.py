@@ -7,6 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets import video
 from toolkit.datasets.agreement.refine import with_intrinsics, with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset, Recording
@@ -19,9 +22,6 @@ from toolkit.datasets.pose_convention import judge_convention
 from toolkit.datasets.samples import SmallFrames, evenly_spaced
 from toolkit.datasets.shutter.recording import estimate_readout, with_readout
 from toolkit.datasets.times import is_impossible, unit_fault
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.frame import Frame
-from toolkit.geometry.trajectory import Trajectory
 
 _log = logging.getLogger(__name__)
 

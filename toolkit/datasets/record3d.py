@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.common_camera import CommonCamera, camera_of_depth, common_camera
 from toolkit.datasets.pairing import ARKIT_UP, OPENGL_AXES, Truth, attach_poses, unpaired
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.geometry.camera import Camera
 from toolkit.io.record3d import EXPORTED_METADATA, Record3DFile
 from toolkit.io.trajectories import pose_of_quaternion
 from toolkit.io.user_files import visible

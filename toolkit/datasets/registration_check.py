@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
+from toolkit.base.frame import Frame
 
 # Images are resized to about this width, so that shifts in pixels are comparable.
 _WIDTH = 320

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
+from toolkit.base.errors import DatasetError
 from toolkit.datasets import (
     bag,
     colmap,
@@ -38,7 +39,6 @@ from toolkit.datasets.preparation import (
     with_fov,
     without_depth,
 )
-from toolkit.errors import DatasetError
 
 _log = logging.getLogger(__name__)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import Recording
 from toolkit.datasets.pairing import (
     attach_poses,
@@ -12,8 +14,6 @@ from toolkit.datasets.pairing import (
     pair_numbered,
     pairing_flaws,
 )
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import read_class_names
 from toolkit.io.guarded.documents import read_json
 from toolkit.io.trajectories import read_matrix_lines

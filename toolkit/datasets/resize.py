@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import DatasetError
+from toolkit.base.geometry.camera import Camera
 
 # Maximum relative difference in inverse depth of source pixels on the surface of the centre.
 _EDGE = 0.05

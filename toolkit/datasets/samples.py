@@ -7,10 +7,10 @@ from functools import partial
 
 import numpy as np
 
-from toolkit.caching import LruCache
+from toolkit.base.caching import LruCache
+from toolkit.base.errors import ToolkitError
+from toolkit.base.frame import Frame
 from toolkit.datasets.base import RecordedDataset
-from toolkit.errors import ToolkitError
-from toolkit.frame import Frame
 
 # Frames that show all of a recording.
 _SPREAD = 16

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from toolkit.base.errors import DatasetError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import Recording
 from toolkit.datasets.pairing import (
     Truth,
@@ -14,8 +16,6 @@ from toolkit.datasets.pairing import (
     pair_numbered,
     pairing_flaws,
 )
-from toolkit.errors import DatasetError
-from toolkit.geometry.camera import Camera
 from toolkit.io.class_names import read_class_names
 from toolkit.io.images import read_depth_m, read_rgb
 from toolkit.io.trajectories import read_matrix

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import Recording
 from toolkit.datasets.pairing import (
     Truth,
@@ -17,8 +19,6 @@ from toolkit.datasets.pairing import (
     pair_numbered,
     pairing_flaws,
 )
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.geometry.camera import Camera
 from toolkit.io.images import read_rgb
 from toolkit.io.trajectories import read_matrix
 from toolkit.io.user_files import visible

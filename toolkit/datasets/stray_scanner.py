@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError, FormatError
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.pairing import (
     ARKIT_UP,
@@ -18,7 +19,6 @@ from toolkit.datasets.pairing import (
     numbered,
     unpaired,
 )
-from toolkit.errors import DatasetError, FormatError
 from toolkit.io.images import read_depth_m
 from toolkit.io.trajectories import pose_of_quaternion, text_lines
 from toolkit.io.video import VideoFile

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError
+from toolkit.base.geometry import se3
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.pairing import (
     Truth,
@@ -18,8 +20,6 @@ from toolkit.datasets.pairing import (
     unpaired,
 )
 from toolkit.datasets.tum_cameras import camera_of
-from toolkit.errors import DatasetError
-from toolkit.geometry import se3
 from toolkit.io.trajectories import read_tum_lines, text_lines
 
 # Maximum time difference of associated images, as in the benchmark's own tool.

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry.camera import Camera
 
 
 class Undistortion:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from toolkit.base.errors import DatasetError
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import FrameFiles, Recording
 from toolkit.datasets.folder import read_intrinsics
-from toolkit.errors import DatasetError
-from toolkit.geometry.camera import Camera
 from toolkit.io.exif import focal_of_equivalent
 from toolkit.io.quicktime import EQUIVALENT_FOCAL_MM, read_metadata
 from toolkit.io.video import VideoFile

@@ -1,0 +1,7 @@
+"""Maps and runs in the formats of other tools.
+
+Knows: layouts of COLMAP and nerfstudio, meshes with labels, occupancy grids, scene graphs, point
+clouds, floor plans.
+In: a finished run or a map with labels. Out: files.
+For others: one module per format; the programs of `tools` call them.
+"""

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import SettingsError, ToolkitError
+from toolkit.base.errors import SettingsError, ToolkitError
+from toolkit.base.geometry import se3
 from toolkit.exports.options import GridOptions
 from toolkit.exports.selection import SelectedGaussians, floors_of
-from toolkit.geometry import se3
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, write_occupancy_grid
 from toolkit.semantics.boxes import Ground
 from toolkit.semantics.storeys import Floors

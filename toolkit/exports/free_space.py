@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.geometry import se3
 from toolkit.exports.floors import covering, occupancy_grid
 from toolkit.exports.options import GridOptions
 from toolkit.exports.selection import SelectedGaussians
-from toolkit.geometry import se3
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from toolkit.runs.visibility import KeyframeViews
 from toolkit.semantics.boxes import Ground

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import SettingsError
+from toolkit.base.errors import SettingsError
+from toolkit.base.geometry import se3
 from toolkit.exports.mapped_scene import MappedScene
-from toolkit.geometry import se3
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.visibility import KeyframeViews
 from toolkit.semantics.changes import ComparedObject, MapChanges, Seen, compare_objects

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from toolkit.options import PositiveFloat, PositiveInt
+from toolkit.base.options import PositiveFloat, PositiveInt
 
 ExportFormat = Literal[
     "splats",

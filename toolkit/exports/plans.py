@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import SettingsError
+from toolkit.base.errors import SettingsError
 from toolkit.exports.floors import required_floors
 from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import GridOptions, ObjectGraphOptions, PlanOptions

@@ -11,9 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.errors import RunFolderError, ToolkitError
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.image_sides import mean_up
+from toolkit.base.errors import RunFolderError, ToolkitError
+from toolkit.base.geometry.image_sides import mean_up
 from toolkit.io.splat_labels import INSTANCE, SplatLabels, instances_in
 from toolkit.io.splats import read_splats
 from toolkit.runs.finished import FinishedRun, load_run
@@ -22,6 +21,7 @@ from toolkit.semantics.boxes import Ground
 from toolkit.semantics.query import FLOOR_NAMES, LabelledMap
 from toolkit.semantics.storeys import Floors, Storeys
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 # Minimum opacity of Gaussians that represent surfaces.
 MIN_OPACITY = 0.5

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.neighbors import NearestNeighbors
 
+from toolkit.base.geometry import se3
 from toolkit.exports.selection import SelectedGaussians, ground_of
-from toolkit.geometry import se3
 from toolkit.io.gltf import MeshPart, write_gltf
 from toolkit.io.labelled_points import LabelledPoints, write_labelled_points
 from toolkit.io.meshes import TriangleMesh

@@ -10,12 +10,11 @@ from typing import Literal
 
 import numpy as np
 
+from toolkit.base.errors import SettingsError, ToolkitError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import RecordedDataset
-from toolkit.errors import SettingsError, ToolkitError
-from toolkit.evaluation.run_metrics import TrackedFrame
 from toolkit.exports.selection import SelectedGaussians
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
 from toolkit.io.atomic import cannot_write
 from toolkit.io.images import write_png
 from toolkit.io.labelled_points import LabelledPoints, write_labelled_points
@@ -27,8 +26,9 @@ from toolkit.io.posed_images import (
     write_transforms,
 )
 from toolkit.io.visualisation import RgbImage, colour_image
-from toolkit.rendering import backend, render_surface
+from toolkit.runs.evaluation.run_metrics import TrackedFrame
 from toolkit.runs.finished import FinishedRun
+from toolkit.splatting.rendering import backend, render_surface
 
 ImagePolicy = Literal["copy", "render", "reference"]
 

@@ -6,7 +6,7 @@ import errno
 import ipaddress
 import socket
 
-from toolkit.errors import SettingsError
+from toolkit.base.errors import SettingsError
 
 _BACKLOG = 128
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError, RunFolderError
+from toolkit.base.errors import FormatError, RunFolderError
 from toolkit.io.atomic import REPLACED, WRITING, cannot_write, replacing, sync, umask
 from toolkit.io.guarded.arrays import read_arrays
 from toolkit.io.guarded.documents import read_json

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from toolkit.errors import RunFolderError, ToolkitError
+from toolkit.base.errors import RunFolderError, ToolkitError
 
 # Beginning of the names of what is being written or replaced.
 WRITING, REPLACED = ".writing-", ".replaced-"

@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from toolkit.errors import DatasetError, DependencyError, ToolkitError
+from toolkit.base.errors import DatasetError, DependencyError, ToolkitError
 from toolkit.io.guarded.content import check_regular
 from toolkit.io.user_files import visible
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from toolkit.errors import DatasetError
+from toolkit.base.errors import DatasetError
 from toolkit.io.guarded.documents import read_json
 
 _FORM = '{"void": 0, "classes": {"1": "name", ...}}'

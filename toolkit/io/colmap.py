@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError, FormatError, SettingsError
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import DatasetError, FormatError, SettingsError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.io.colmap_binary import camera_rows, image_rows
 from toolkit.io.trajectories import pose_of_quaternion, text_lines
 from toolkit.io.user_files import read_text

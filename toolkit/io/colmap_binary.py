@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from toolkit.errors import DatasetError, FormatError
+from toolkit.base.errors import DatasetError, FormatError
 from toolkit.io.guarded.content import read_content
 
 # Name and number of parameters by the number of the camera model, of `src/colmap/sensor/models.h`.

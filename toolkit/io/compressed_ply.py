@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.morton import morton_order
 from toolkit.io.smallest_three import join_largest, split_largest

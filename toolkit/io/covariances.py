@@ -7,7 +7,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.trajectories import number_lines
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.guarded.content import read_content
 from toolkit.io.splat_columns import CONSTANT_HARMONIC, Columns, Order, logits, opacities_of

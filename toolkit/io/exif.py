@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolkit.errors import DatasetError
+from toolkit.base.errors import DatasetError
 from toolkit.io.guarded.content import check_regular
 from toolkit.io.guarded.images import MAX_IMAGE_BYTES
 

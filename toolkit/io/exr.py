@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DependencyError
+from toolkit.base.errors import DependencyError
 from toolkit.io.guarded.content import check_regular
 from toolkit.io.guarded.images import MAX_IMAGE_BYTES, check_pixels
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DependencyError, FormatError
+from toolkit.base.errors import DependencyError, FormatError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.meshes import TriangleMesh
 from toolkit.io.splat_placement import linear_from_srgb

@@ -18,8 +18,8 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.geometry import se3
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.base.geometry import se3
 from toolkit.io.atomic import write_bytes, write_text
 from toolkit.io.guarded.content import read_content
 from toolkit.io.guarded.documents import parse_json

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError, RunFolderError
+from toolkit.base.errors import FormatError, RunFolderError
 from toolkit.io.gltf_document import (
     DAMAGED,
     GltfDocument,

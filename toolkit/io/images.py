@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError, DependencyError
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.errors import DatasetError, DependencyError
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import write_bytes
 from toolkit.io.guarded.content import DamagedError, check_regular, read_content
 from toolkit.io.guarded.images import MAX_IMAGE_BYTES, MAX_PIXELS, check_pixels

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.guarded.content import read_content
 from toolkit.io.splat_columns import CONSTANT_HARMONIC, Columns, logits
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DependencyError, FormatError
+from toolkit.base.errors import DependencyError, FormatError
 from toolkit.io.atomic import replacing, write_bytes
 from toolkit.io.splat_labels import SplatLabels
 

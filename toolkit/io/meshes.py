@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError, ToolkitError
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.errors import FormatError, ToolkitError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing
 from toolkit.io.process_streams import silenced
 

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.atomic import replacing
 from toolkit.io.guarded.arrays import read_arrays
 

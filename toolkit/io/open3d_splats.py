@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing
 from toolkit.io.process_streams import silenced
 from toolkit.io.splat_columns import Columns

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.guarded.content import read_content
 
 _END = re.compile(rb"^end_header[ \t]*\r?\n", re.MULTILINE)

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError, DependencyError
+from toolkit.base.errors import DatasetError, DependencyError
 from toolkit.io.exr import read_exr
 from toolkit.io.guarded.archive import Archive
 from toolkit.io.guarded.content import read_content

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.guarded.archive import Archive
 from toolkit.io.guarded.content import DamagedError, read_content
 from toolkit.io.guarded.documents import parse_json

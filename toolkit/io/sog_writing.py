@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.atomic import write_bytes
 from toolkit.io.morton import morton_order
 from toolkit.io.quantisation import codebook, nearest_codes, palette

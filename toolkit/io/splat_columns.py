@@ -16,8 +16,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.splat_shapes import SplatShapes
 
 _log = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 
 # Prefix of the column with the nodes at a level; the level's index follows.
 _LEVEL = "label_l"

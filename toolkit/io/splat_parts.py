@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 from numpy.typing import NDArray
 
-from toolkit.errors import RunFolderError
+from toolkit.base.errors import RunFolderError
 from toolkit.io.atomic import WRITING, replacing
 from toolkit.io.splat_columns import SplatLike
 from toolkit.io.splats import PathLike, write_splat_ply

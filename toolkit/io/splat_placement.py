@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
-from toolkit.geometry import se3
-from toolkit.geometry.harmonics import harmonic_rotation
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.harmonics import harmonic_rotation
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splat_columns import CONSTANT_HARMONIC, Columns, harmonics_of
 from toolkit.io.splat_shapes import SplatShapes

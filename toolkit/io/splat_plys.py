@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.compressed_ply import unpacked_splats
 from toolkit.io.open3d_splats import write_with_open3d
 from toolkit.io.ply_elements import read_elements

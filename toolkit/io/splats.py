@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError, FormatError
+from toolkit.base.errors import DatasetError, FormatError
 from toolkit.io.compressed_ply import MIP_COMMENT, write_compressed_ply
 from toolkit.io.dot_splat import read_dot_splat, write_dot_splat
 from toolkit.io.guarded.content import DamagedError

@@ -18,8 +18,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.atomic import write_bytes
 from toolkit.io.guarded.content import read_content
 from toolkit.io.open3d_splats import read_with_open3d, write_with_open3d

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from toolkit.errors import DependencyError, RunFolderError
+from toolkit.base.errors import DependencyError, RunFolderError
 from toolkit.io.arrays import ArrayTree, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, remove_temporary, replacing
 from toolkit.io.atomic import write_bytes as write_local

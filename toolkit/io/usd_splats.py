@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DependencyError, FormatError, RunFolderError
-from toolkit.geometry.harmonics import HARMONIC_COUNTS
+from toolkit.base.errors import DependencyError, FormatError, RunFolderError
+from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.io.atomic import replacing
 from toolkit.io.guarded.archive import Archive
 from toolkit.io.guarded.content import DamagedError, check_regular

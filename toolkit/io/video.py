@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError
+from toolkit.base.errors import DatasetError
 
 # FFmpeg would print its own lines about damaged files, besides the error raised here. OpenCV reads
 # the level when the process uses FFmpeg for the first time.

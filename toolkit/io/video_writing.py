@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from toolkit.errors import DependencyError, FormatError
+from toolkit.base.errors import DependencyError, FormatError
 from toolkit.io.atomic import replacing
 
 VIDEO_SUFFIXES = (".mp4", ".gif")

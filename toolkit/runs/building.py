@@ -6,31 +6,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from toolkit.base.errors import FormatError, SettingsError
 from toolkit.datasets.base import Dataset, RecordedDataset
-from toolkit.depth_priors.correction import DepthCorrection
-from toolkit.errors import FormatError, SettingsError
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.features.factory import build_differentiable_describer
-from toolkit.features.sources import ViewDescriber
-from toolkit.growing_scene.growing import GrowingScene
-from toolkit.instances.factory import build_instances, may_ignore_masks
-from toolkit.instances.ignoring import IgnoredMasks, IgnoredTexts
-from toolkit.instances.tracking import InstanceTracker
-from toolkit.loops.closing.factory import ClosingContext
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.semantic_mapping import build_semantic_mapping
-from toolkit.rendering import map_device
+from toolkit.depth.depth_priors.correction import DepthCorrection
 from toolkit.runs.allocator import reuse_freed_memory
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.image_side import up_side
 from toolkit.runs.modes import FrontEndParts, mode_of
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
+from toolkit.semantics.features.factory import build_differentiable_describer
+from toolkit.semantics.features.sources import ViewDescriber
 from toolkit.semantics.labeller import Labeller
+from toolkit.semantics.taxonomy_building.factory import build_labeller
 from toolkit.slam.frame_preparation import FrameSources
+from toolkit.slam.growing_scene.growing import GrowingScene
+from toolkit.slam.instances.factory import build_instances, may_ignore_masks
+from toolkit.slam.instances.ignoring import IgnoredMasks, IgnoredTexts
+from toolkit.slam.instances.tracking import InstanceTracker
+from toolkit.slam.loops.closing.factory import ClosingContext
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
+from toolkit.slam.submaps.factory import build_atlas
 from toolkit.slam.system import Slam
-from toolkit.submaps.factory import build_atlas
-from toolkit.taxonomy_building.factory import build_labeller
+from toolkit.splatting.rendering import map_device
 
 
 def build_slam(

@@ -9,10 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
+from toolkit.base.frame import Frame
 from toolkit.runs.folder import RunFolder
 from toolkit.slam.result import FrameResult
-from toolkit.submaps.atlas import Atlas
+from toolkit.slam.submaps.atlas import Atlas
 
 
 class System(Protocol):

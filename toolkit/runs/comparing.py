@@ -9,11 +9,11 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import RunFolderError
-from toolkit.evaluation.comparison import ComparedRun
-from toolkit.evaluation.metrics import flattened, read_metrics
+from toolkit.base.errors import RunFolderError
+from toolkit.base.options import as_plain
 from toolkit.io.images import read_rgb
-from toolkit.options import as_plain
+from toolkit.runs.evaluation.comparison import ComparedRun
+from toolkit.runs.evaluation.metrics import flattened, read_metrics
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import load_stored_settings
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from toolkit.depth_priors.correction import DepthCorrection
-from toolkit.depth_priors.provider import PriorModel
-from toolkit.submaps.atlas import Atlas
+from toolkit.depth.depth_priors.correction import DepthCorrection
+from toolkit.depth.depth_priors.provider import PriorModel
+from toolkit.slam.submaps.atlas import Atlas
 
 
 @dataclass(frozen=True)

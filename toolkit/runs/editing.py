@@ -9,15 +9,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.errors import ToolkitError
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.errors import ToolkitError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.io.splats import read_splats
-from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.runs.labelled import LabelledRun
 from toolkit.semantics.boxes import Ground, floor_area_m2
 from toolkit.semantics.query import FLOOR_NAMES
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import RenderOptions, SurfaceView, backend, render_surface
 
 # A pixel with a smaller silhouette (0-1) shows no surface.
 _MIN_SILHOUETTE = 0.5

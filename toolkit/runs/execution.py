@@ -9,22 +9,19 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from toolkit.base.errors import DatasetError, RunFolderError, SettingsError
+from toolkit.base.frame import Frame
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.faults import fault_tolerant
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.samples import spread_frames
-from toolkit.depth_priors.factory import build_provider
-from toolkit.errors import DatasetError, RunFolderError, SettingsError
-from toolkit.evaluation.frame_costs import FrameCostRecorder
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.frame import Frame
-from toolkit.monocular.scale import check_scale
-from toolkit.pacing.delays import PaceSummary, count_of, delay_statistics
-from toolkit.pacing.paced import PacedSlam
+from toolkit.depth.depth_priors.factory import build_provider
+from toolkit.depth.monocular.scale import check_scale
 from toolkit.runs.building import build_slam
 from toolkit.runs.checkpoint_writer import CheckpointWriter
 from toolkit.runs.depth_prior_use import DepthPriorUse, inferred_fraction
-from toolkit.runs.evaluation import load_lpips
+from toolkit.runs.evaluation.frame_costs import FrameCostRecorder
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.image_side import FoundSide, find_side
@@ -37,11 +34,14 @@ from toolkit.runs.processed_frames import Identity, check_identity, identity_of
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.results import write_motion_alone, write_results
 from toolkit.runs.saved_map import SavedMap, load_saved_map, open_saved_map
+from toolkit.runs.scoring import load_lpips
 from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.runs.snapshots import SnapshotWriter
 from toolkit.runs.stopping import StopSignals
 from toolkit.semantics.decoder import check_reader
+from toolkit.slam.pacing.delays import PaceSummary, count_of, delay_statistics
+from toolkit.slam.pacing.paced import PacedSlam
 from toolkit.slam.system import Slam
 from toolkit.synthetic_rooms import RoomSettings, make_room
 

@@ -6,11 +6,11 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
 
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.stages import Stage
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.settings import RunSettings
-from toolkit.stages import Stage
 
 _log = logging.getLogger(__name__)
 

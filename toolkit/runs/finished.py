@@ -10,21 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError, RunFolderError, SettingsError
+from toolkit.base.exposure import Exposure
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.image_sides import SIDES, ImageSide
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.estimates import RecordingEstimates
-from toolkit.errors import DatasetError, RunFolderError, SettingsError
-from toolkit.evaluation.frame_states import FrameState, PartSummary
-from toolkit.evaluation.run_metrics import TrackedFrame
-from toolkit.exposure import Exposure
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.image_sides import SIDES, ImageSide
-from toolkit.geometry.trajectory import Trajectory
 from toolkit.io.guarded.documents import read_json
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splat_placement import origin_comment
-from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
+from toolkit.runs.evaluation.frame_states import FrameState, PartSummary
+from toolkit.runs.evaluation.run_metrics import TrackedFrame
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.formats import FolderVersion, folder_version, upgraded
 from toolkit.runs.frame_records import read_part, read_state
@@ -33,7 +31,9 @@ from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings, load_stored_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.submaps.store import SavedSubmaps, SubmapStore
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
+from toolkit.slam.submaps.store import SavedSubmaps, SubmapStore
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 
 @dataclass(frozen=True)

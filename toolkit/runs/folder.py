@@ -25,10 +25,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit import __version__
-from toolkit.errors import FormatError, RunFolderError, SettingsError
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.errors import FormatError, RunFolderError, SettingsError
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.version import __version__
 from toolkit.io.arrays import arrays_below, read_array_tree, write_array_tree
 from toolkit.io.atomic import cannot_write, remove_temporary, write_text
 from toolkit.io.covariances import write_covariances
@@ -43,6 +42,7 @@ from toolkit.runs.lock import LOCK, is_unused
 from toolkit.runs.settings import other_keys
 from toolkit.runs.splat_clouds import read_cloud
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 _log = logging.getLogger(__name__)
 

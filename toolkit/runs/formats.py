@@ -13,9 +13,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from toolkit import __version__
-from toolkit.errors import RunFolderError
-from toolkit.monocular.options import ScaleOptions
+from toolkit.base.errors import RunFolderError
+from toolkit.base.version import __version__
+from toolkit.depth.monocular.options import ScaleOptions
 from toolkit.runs.settings import RunSettings
 
 _log = logging.getLogger(__name__)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any, get_args
 
-from toolkit.evaluation.frame_states import FrameState, PartSummary, State
-from toolkit.evaluation.run_metrics import TrackedFrame
+from toolkit.runs.evaluation.frame_states import FrameState, PartSummary, State
+from toolkit.runs.evaluation.run_metrics import TrackedFrame
 from toolkit.slam.result import Loss, SlamResult
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.io.visualisation import RgbImage, colour_image
-from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.visibility import keyframe_views
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import RenderOptions, backend, render_surface
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from toolkit.base.errors import DependencyError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.image_sides import ImageSide, nearest_side
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.options import DatasetOptions
-from toolkit.errors import DependencyError
-from toolkit.frame import Frame
-from toolkit.geometry.image_sides import ImageSide, nearest_side
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
 from toolkit.slam.length_unit import LengthUnit

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolkit.instances.result import InstanceMap
 from toolkit.io.object_embeddings import ObjectEmbeddings, write_objects
 from toolkit.io.splat_labels import SplatLabels, instances_in
 from toolkit.io.splats import Splats, read_splats
@@ -17,6 +16,7 @@ from toolkit.semantics.embedding_fusion import FusedEmbedding
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.query import LabelledMap
 from toolkit.semantics.taxonomy import VOID, Taxonomy
+from toolkit.slam.instances.result import InstanceMap
 
 # Name of the model in `objects.npz` if the masks do not name it.
 UNNAMED = "masks"

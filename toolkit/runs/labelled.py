@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError, RunFolderError, ToolkitError
+from toolkit.base.errors import FormatError, RunFolderError, ToolkitError
 from toolkit.io.label_files import label_file_of
 from toolkit.io.splats import Splats, read_splats
 from toolkit.runs.finished import FinishedRun, load_run

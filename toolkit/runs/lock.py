@@ -9,7 +9,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from toolkit.errors import RunFolderError
+from toolkit.base.errors import RunFolderError
 from toolkit.io.atomic import TEMPORARY
 
 LOCK = ".lock"

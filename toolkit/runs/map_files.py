@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from toolkit.errors import FormatError
-from toolkit.gaussians.scene import GaussianScene, InMemoryScene
-from toolkit.instances.result import InstanceMap
+from toolkit.base.errors import FormatError
 from toolkit.io.splat_labels import SplatLabels
-from toolkit.refinement.fusion import FusedMap
 from toolkit.runs.folder import MapPart
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.decoding import Decoding
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.instances.result import InstanceMap
+from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import SlamResult
+from toolkit.splatting.gaussians.scene import GaussianScene, InMemoryScene
 
 
 def labelled_parts(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from toolkit.errors import MemoryLimitError
+from toolkit.base.errors import MemoryLimitError
 
 # Fraction of the limit that a run may use: a checkpoint needs memory as well.
 _USABLE = 0.9

@@ -9,19 +9,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.instances.result import InstanceMap
-from toolkit.instances.saved import SavedObjects, joined
 from toolkit.io.splat_labels import INSTANCE, SplatLabels
-from toolkit.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
-from toolkit.refinement.fusion import FusedMap, fuse_submaps
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.map_files import splat_labels
 from toolkit.runs.saved_objects import load_objects
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.submaps.store import SavedSubmaps
-from toolkit.submaps.submap import Submap
+from toolkit.slam.instances.result import InstanceMap
+from toolkit.slam.instances.saved import SavedObjects, joined
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
+from toolkit.slam.refinement.fusion import FusedMap, fuse_submaps
+from toolkit.slam.submaps.store import SavedSubmaps
+from toolkit.slam.submaps.submap import Submap
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from sklearn.neighbors import NearestNeighbors
 from tqdm import tqdm
 
-from toolkit.errors import SettingsError, ToolkitError
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
+from toolkit.base.errors import SettingsError, ToolkitError
+from toolkit.base.geometry import se3
 from toolkit.io.meshes import PosedDepth, TriangleMesh, fuse_views, write_points
-from toolkit.rendering import RenderOptions, backend, render_surface
 from toolkit.runs.finished import FinishedRun
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import RenderOptions, backend, render_surface
 
 # Minimum opacity of Gaussians that represent surfaces.
 _MIN_OPACITY = 0.5

@@ -13,23 +13,21 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import DatasetError, SettingsError, ToolkitError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.stages import Stage
 from toolkit.datasets.agreement.findings import contradictions
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.findings import quick_findings
 from toolkit.datasets.images_only import ImagesOnly
-from toolkit.depth_priors.correction import DepthCorrection
-from toolkit.depth_priors.provider import DepthProvider
-from toolkit.errors import DatasetError, SettingsError, ToolkitError
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.evaluation.trajectory import AlignmentKind
-from toolkit.frame import Frame
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
-from toolkit.loops.closing.interface import GivenParts, LoopClosing, NoLoopClosing
-from toolkit.loops.log import LoopLog
-from toolkit.monocular.motion import CameraMotion
-from toolkit.monocular.options import ScaleOptions
-from toolkit.monocular.sequence import MonocularSequence, prior_correction
+from toolkit.depth.depth_priors.correction import DepthCorrection
+from toolkit.depth.depth_priors.provider import DepthProvider
+from toolkit.depth.monocular.motion import CameraMotion
+from toolkit.depth.monocular.options import ScaleOptions
+from toolkit.depth.monocular.sequence import MonocularSequence, prior_correction
+from toolkit.runs.evaluation.timing import StageRecorder
+from toolkit.runs.evaluation.trajectory import AlignmentKind
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.motion import estimated_motion, motion_at_given_poses, with_prior_doubts
 from toolkit.runs.observers import Progress
@@ -37,12 +35,14 @@ from toolkit.runs.settings import RunSettings
 from toolkit.semantics.codes import SemanticCode
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.length_unit import METRE, LengthUnit
-from toolkit.stages import Stage
-from toolkit.tracking.factory import build_tracker
-from toolkit.tracking.given import GivenPoses
-from toolkit.tracking.guided import GuidedTracker
-from toolkit.tracking.initial_velocity import initial_velocity
-from toolkit.tracking.placement import KeyframePlacement
+from toolkit.slam.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.slam.loops.closing.interface import GivenParts, LoopClosing, NoLoopClosing
+from toolkit.slam.loops.log import LoopLog
+from toolkit.slam.tracking.factory import build_tracker
+from toolkit.slam.tracking.given import GivenPoses
+from toolkit.slam.tracking.guided import GuidedTracker
+from toolkit.slam.tracking.initial_velocity import initial_velocity
+from toolkit.slam.tracking.placement import KeyframePlacement
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,15 @@ import logging
 from collections.abc import Iterable
 from dataclasses import replace
 
+from toolkit.base.errors import DatasetError
+from toolkit.base.frame import Frame
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.images_only import ImagesOnly
-from toolkit.depth_priors.provider import DepthProvider
-from toolkit.errors import DatasetError
-from toolkit.frame import Frame
-from toolkit.monocular.given import motion_of_given_poses
-from toolkit.monocular.motion import FOCAL_ROUNDS, CameraMotion, estimate_motion
-from toolkit.monocular.prior_check import doubt_about_priors
-from toolkit.monocular.scale import with_metric_scale
+from toolkit.depth.depth_priors.provider import DepthProvider
+from toolkit.depth.monocular.given import motion_of_given_poses
+from toolkit.depth.monocular.motion import FOCAL_ROUNDS, CameraMotion, estimate_motion
+from toolkit.depth.monocular.prior_check import doubt_about_priors
+from toolkit.depth.monocular.scale import with_metric_scale
 from toolkit.runs.expected_time import with_expected_motion_time
 from toolkit.runs.image_side import up_side
 from toolkit.runs.observers import Progress

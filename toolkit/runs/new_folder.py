@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from toolkit.errors import RunFolderError, Stopped
+from toolkit.base.errors import RunFolderError, Stopped
 from toolkit.io import storage
 from toolkit.runs.lock import locked, unlisted
 from toolkit.runs.stopping import StopSignals

@@ -11,21 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from toolkit.base.errors import ToolkitError
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.depth_lookup import depths_at
+from toolkit.base.keyframe import evenly_spaced
 from toolkit.datasets.base import RecordedDataset
-from toolkit.errors import ToolkitError
-from toolkit.evaluation.run_metrics import TrackedFrame
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.depth_lookup import depths_at
 from toolkit.io.object_embeddings import ObjectEmbeddings
 from toolkit.io.visualisation import colour_image
-from toolkit.keyframe import evenly_spaced
-from toolkit.rendering import backend, render_surface
+from toolkit.runs.evaluation.run_metrics import TrackedFrame
 from toolkit.runs.finished import FinishedRun
 from toolkit.runs.labelled import LabelledRun
 from toolkit.semantics.embedding_fusion import FusedEmbedding, fuse_views, view_weights
 from toolkit.semantics.query import SceneObject
 from toolkit.semantics.taxonomy import VOID
+from toolkit.splatting.rendering import backend, render_surface
 
 _log = logging.getLogger(__name__)
 

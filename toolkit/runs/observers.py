@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from toolkit.evaluation.timing import StageRecorder
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.folder import RunFolder
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.system import Slam

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from toolkit.base.stages import Stage
 from toolkit.datasets.base import Dataset
-from toolkit.evaluation.frame_costs import FrameCosts, gaussian_bytes, peak_memory_mb
-from toolkit.evaluation.frame_states import FrameState, PartSummary, frame_states, part_summaries
-from toolkit.evaluation.metrics import RunCosts
-from toolkit.evaluation.run_metrics import TrackedFrame
-from toolkit.evaluation.timing import StageRecorder
+from toolkit.depth.monocular.motion import CameraMotion
 from toolkit.io.length_names import LengthNames
-from toolkit.monocular.motion import CameraMotion
-from toolkit.pacing.delays import DelaySummary
 from toolkit.runs.depth_prior_use import DepthPriorUse
+from toolkit.runs.evaluation.frame_costs import FrameCosts, gaussian_bytes, peak_memory_mb
+from toolkit.runs.evaluation.frame_states import (
+    FrameState,
+    PartSummary,
+    frame_states,
+    part_summaries,
+)
+from toolkit.runs.evaluation.metrics import RunCosts
+from toolkit.runs.evaluation.run_metrics import TrackedFrame
+from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.frame_preparation import FrameSources
+from toolkit.slam.pacing.delays import DelaySummary
 from toolkit.slam.result import SlamResult
-from toolkit.stages import Stage
 
 
 def held_out(index: int, settings: RunSettings) -> bool:

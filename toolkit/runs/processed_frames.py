@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from toolkit.base.errors import RunFolderError
 from toolkit.datasets.base import RecordedDataset
-from toolkit.errors import RunFolderError
 
 # Identity of frames by what it describes: its words for messages.
 Identity = dict[str, str]

@@ -12,23 +12,23 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError, RunFolderError
-from toolkit.gaussians.cloud import PARAMETERS, GaussianCloud
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.image_sides import ImageSide
-from toolkit.growing_scene.growing import GrowingScene
-from toolkit.growing_scene.snapshot import Snapshot, snapshot_content
+from toolkit.base.errors import FormatError, RunFolderError
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.image_sides import ImageSide
 from toolkit.io.arrays import JoinedArrays, arrays_below, read_array_tree
 from toolkit.io.guarded.documents import read_json
 from toolkit.io.splat_labels import SplatLabels
-from toolkit.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
 from toolkit.runs.map_files import splat_labels
 from toolkit.runs.settings import load_stored_settings
 from toolkit.runs.snapshots import watch
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.submaps.store import SubmapStore
+from toolkit.slam.growing_scene.growing import GrowingScene
+from toolkit.slam.growing_scene.snapshot import Snapshot, snapshot_content
+from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
+from toolkit.slam.submaps.store import SubmapStore
+from toolkit.splatting.gaussians.cloud import PARAMETERS, GaussianCloud
 
 # Arrays of a checkpoint that describe the map and the cameras; the rest is much larger.
 _WANTED = re.compile(

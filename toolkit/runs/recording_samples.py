@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import ToolkitError
 from toolkit.datasets.base import Dataset
-from toolkit.errors import ToolkitError
 
 _COUNT, _SIZE = 5, (8, 6)
 # Maximum mean difference of colours in [0, 1]. Other sizes and compression change less.

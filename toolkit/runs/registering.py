@@ -9,22 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from toolkit.errors import FormatError, SettingsError, ToolkitError
-from toolkit.features.factory import build_differentiable_describer
-from toolkit.geometry import se3
+from toolkit.base.errors import FormatError, SettingsError, ToolkitError
+from toolkit.base.geometry import se3
 from toolkit.io.guarded.documents import read_json
-from toolkit.loops.registration.factory import build_registrar, needs_describer
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.loops.registration.views import ViewRenderer
-from toolkit.loops.two_maps import (
+from toolkit.runs.finished import FinishedRun
+from toolkit.runs.merged_map import shared_semantics
+from toolkit.semantics.features.factory import build_differentiable_describer
+from toolkit.slam.loops.registration.factory import build_registrar, needs_describer
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.loops.registration.views import ViewRenderer
+from toolkit.slam.loops.two_maps import (
     MapRegistration,
     most_similar_submaps,
     register_submaps,
     select_registration,
 )
-from toolkit.runs.finished import FinishedRun
-from toolkit.runs.merged_map import shared_semantics
-from toolkit.submaps.store import SavedSubmaps
+from toolkit.slam.submaps.store import SavedSubmaps
 
 # Number of pairs of submaps that are registered, as in `semsplat register`.
 _PAIRS = 6

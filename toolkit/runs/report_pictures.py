@@ -10,19 +10,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.base.geometry.frustum import Frustum, far_depth_m, observed_points
 from toolkit.datasets.base import Dataset
-from toolkit.evaluation.loop_gallery import LoopPicture, gallery_pairs
-from toolkit.evaluation.report import LevelImage, ReportFloorPlan
-from toolkit.evaluation.submap_graph import (
+from toolkit.io.length_names import LengthNames
+from toolkit.io.splats import read_splats
+from toolkit.runs.evaluation.loop_gallery import LoopPicture, gallery_pairs
+from toolkit.runs.evaluation.report import LevelImage, ReportFloorPlan
+from toolkit.runs.evaluation.submap_graph import (
     SubmapGraph,
     SubmapViews,
     observed_from,
     submap_links,
 )
-from toolkit.geometry.frustum import Frustum, far_depth_m, observed_points
-from toolkit.io.length_names import LengthNames
-from toolkit.io.splats import read_splats
-from toolkit.loops.log import read_loop_log
 from toolkit.runs.splat_clouds import cloud_of
 from toolkit.semantics.floor_plan import (
     PlanDrawing,
@@ -35,6 +34,7 @@ from toolkit.semantics.floor_plan import (
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import LabelledMap
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.loops.log import read_loop_log
 from toolkit.slam.result import SlamResult, SubmapSummary
 
 # Pairs of each kind in the loop gallery.

@@ -9,25 +9,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit import __version__
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.version import __version__
 from toolkit.datasets.base import Dataset
-from toolkit.evaluation.images import psnr_db
-from toolkit.evaluation.metrics import Metrics
-from toolkit.evaluation.report import (
+from toolkit.io.images import write_rgb
+from toolkit.io.visualisation import view_strip
+from toolkit.runs.evaluation.images import psnr_db
+from toolkit.runs.evaluation.metrics import Metrics
+from toolkit.runs.evaluation.report import (
     DelaySeries,
     LevelImage,
     ReportContent,
     ReportFloorPlan,
     ReportView,
 )
-from toolkit.gaussians.scene import GaussianScene
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.io.images import write_rgb
-from toolkit.io.visualisation import view_strip
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.pacing.delays import DelaySummary
-from toolkit.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.modes import mode_of
 from toolkit.runs.outcome import RunOutcome
@@ -40,6 +36,10 @@ from toolkit.runs.report_pictures import (
 from toolkit.runs.settings import dump_settings
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.pacing.delays import DelaySummary
+from toolkit.splatting.gaussians.scene import GaussianScene
+from toolkit.splatting.rendering import RenderOptions, SurfaceView, backend, render_surface
 
 _NUM_VIEWS = 6
 _LEGEND_ROWS = 8

@@ -10,30 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from toolkit import __version__
+from toolkit.base.stages import Stage
+from toolkit.base.version import __version__
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.estimates import RecordingEstimates
-from toolkit.evaluation.expected_quality import shortfall_warnings
-from toolkit.evaluation.frame_states import frame_metrics, summary_lines
-from toolkit.evaluation.metrics import (
+from toolkit.depth.monocular.motion import CameraMotion
+from toolkit.io.atomic import write_bytes, write_text
+from toolkit.io.graphs import graph_bytes
+from toolkit.runs.evaluation.expected_quality import shortfall_warnings
+from toolkit.runs.evaluation.frame_states import frame_metrics, summary_lines
+from toolkit.runs.evaluation.metrics import (
     Metrics,
     ate_warnings,
     cost_metrics,
     truth_lines,
     write_metrics,
 )
-from toolkit.evaluation.report import write_report
-from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
-from toolkit.io.atomic import write_bytes, write_text
-from toolkit.io.graphs import graph_bytes
-from toolkit.mapping.consensus import LabelAgreement
-from toolkit.monocular.motion import CameraMotion
-from toolkit.runs.evaluation import (
-    compared_frames,
-    evaluate_loops,
-    evaluate_scene,
-    semantic_evaluation,
-)
+from toolkit.runs.evaluation.report import write_report
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.formats import RUN_FORMAT
 from toolkit.runs.frame_records import frame_records
@@ -44,12 +37,19 @@ from toolkit.runs.modes import mode_of
 from toolkit.runs.outcome import RunOutcome, RunRecord
 from toolkit.runs.recording_samples import recording_samples
 from toolkit.runs.result_report import render_views, report_content
+from toolkit.runs.scoring import (
+    compared_frames,
+    evaluate_loops,
+    evaluate_scene,
+    semantic_evaluation,
+)
 from toolkit.runs.separate_parts import separate_part_metrics, write_separate_parts
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.query import FLOOR_NAMES
 from toolkit.semantics.storey_rooms import graph_frame
+from toolkit.slam.mapping.consensus import LabelAgreement
 from toolkit.slam.result import SlamResult
-from toolkit.stages import Stage
+from toolkit.splatting.gaussians.scene import GaussianScene, HalfPrecisionScene
 
 _log = logging.getLogger(__name__)
 

@@ -10,11 +10,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from toolkit.base.errors import SettingsError
 from toolkit.datasets.base import Dataset
-from toolkit.errors import SettingsError
-from toolkit.instances.saved import SavedObjects
 from toolkit.io.splats import is_splat_file
-from toolkit.mapping.semantic_mapping import SemanticMapping
 from toolkit.runs.building import build_run_labeller
 from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.folder import RunFolder
@@ -22,8 +20,10 @@ from toolkit.runs.modes import mode_of
 from toolkit.runs.saved_objects import load_objects
 from toolkit.runs.settings import RunSettings
 from toolkit.runs.splat_map import open_splat_map, summary
+from toolkit.slam.instances.saved import SavedObjects
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.submaps.submap import Submap
 from toolkit.slam.system import Slam
-from toolkit.submaps.submap import Submap
 
 _log = logging.getLogger(__name__)
 

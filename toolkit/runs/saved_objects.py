@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.errors import FormatError
-from toolkit.instances.result import MapObject
-from toolkit.instances.saved import SavedObjects
+from toolkit.base.errors import FormatError
 from toolkit.io.guarded.documents import read_json
 from toolkit.io.object_embeddings import ObjectEmbeddings, read_objects
 from toolkit.io.splat_labels import instances_in
@@ -17,6 +15,8 @@ from toolkit.io.splats import read_splats
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.instance_files import UNNAMED
 from toolkit.semantics.embedding_fusion import FusedEmbedding
+from toolkit.slam.instances.result import MapObject
+from toolkit.slam.instances.saved import SavedObjects
 
 _log = logging.getLogger(__name__)
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from toolkit.errors import DatasetError
-from toolkit.evaluation.metrics import Metrics
-from toolkit.evaluation.trajectory import AlignmentKind, absolute_trajectory_error
-from toolkit.gaussians.scene import GaussianScene, HalfPrecisionScene
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.refinement.fusion import FusedMap
+from toolkit.base.errors import DatasetError
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.runs.evaluation.metrics import Metrics
+from toolkit.runs.evaluation.trajectory import AlignmentKind, absolute_trajectory_error
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.map_files import labelled_parts
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import SlamResult
+from toolkit.splatting.gaussians.scene import GaussianScene, HalfPrecisionScene
 
 # Fewer poses can be aligned with any others.
 _MIN_POSES = 3

@@ -9,11 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from toolkit.evaluation.frame_costs import FrameCostRecorder
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
-from toolkit.io.printable import PrintableFormatter
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.printable import PrintableFormatter
+from toolkit.base.stages import Stage
 from toolkit.runs.checkpoint_writer import CheckpointWriter, System
+from toolkit.runs.evaluation.frame_costs import FrameCostRecorder
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.memory_limit import MemoryLimit
@@ -23,7 +24,6 @@ from toolkit.runs.settings import RunSettings
 from toolkit.runs.stopping import StopSignals
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam
-from toolkit.stages import Stage
 
 _log = logging.getLogger(__name__)
 

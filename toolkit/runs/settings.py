@@ -9,18 +9,8 @@ from typing import Annotated, Any, Literal, get_args
 
 import yaml
 
-from toolkit.datasets.options import DatasetOptions
-from toolkit.depth_priors.options import DepthPriorOptions
-from toolkit.errors import SettingsError
-from toolkit.evaluation.options import EvaluationOptions
-from toolkit.growing_scene.options import GrowingSceneOptions
-from toolkit.instances.options import InstanceOptions
-from toolkit.io.guarded.documents import read_yaml
-from toolkit.loops.closing.options import LoopClosureOptions
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.mapping.options import MapperOptions
-from toolkit.monocular.options import ScaleOptions
-from toolkit.options import (
+from toolkit.base.errors import SettingsError
+from toolkit.base.options import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
@@ -30,10 +20,20 @@ from toolkit.options import (
     validated,
     with_home,
 )
-from toolkit.pacing.options import FramesPerSecond, PacingOptions
+from toolkit.datasets.options import DatasetOptions
+from toolkit.depth.depth_priors.options import DepthPriorOptions
+from toolkit.depth.monocular.options import ScaleOptions
+from toolkit.io.guarded.documents import read_yaml
+from toolkit.runs.evaluation.options import EvaluationOptions
 from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
-from toolkit.submaps.options import SubmapOptions
-from toolkit.tracking.options import PlacementOptions, TrackingOptions
+from toolkit.slam.growing_scene.options import GrowingSceneOptions
+from toolkit.slam.instances.options import InstanceOptions
+from toolkit.slam.loops.closing.options import LoopClosureOptions
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.pacing.options import FramesPerSecond, PacingOptions
+from toolkit.slam.submaps.options import SubmapOptions
+from toolkit.slam.tracking.options import PlacementOptions, TrackingOptions
 
 # Sets of settings to start from: one YAML file each in PRESETS, with the source of every value.
 PresetName = Literal["fast", "default", "best", "hier-slam", "hier-slam-mono", "gausem"]

@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import PARAMETERS
+from toolkit.base.frame import Frame
+from toolkit.base.keyframe import Keyframe
 from toolkit.io.arrays import JoinedArrays, write_array_tree
 from toolkit.io.images import small_image
-from toolkit.keyframe import Keyframe
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
 from toolkit.runs.observers import ObservedRun
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.system import Slam
+from toolkit.splatting.gaussians.cloud import PARAMETERS
 
 _log = logging.getLogger(__name__)
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from toolkit.gaussians.cloud import LOW_PASS_3DGS, PIXEL_FILTER, GaussianCloud
-from toolkit.gaussians.ellipsoids import SHAPES, Ellipsoids
 from toolkit.io.splats import Splats, read_splats
+from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS, PIXEL_FILTER, GaussianCloud
+from toolkit.splatting.gaussians.ellipsoids import SHAPES, Ellipsoids
 
 
 def read_cloud(path: str | os.PathLike[str]) -> GaussianCloud:

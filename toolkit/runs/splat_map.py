@@ -7,19 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.frame import Frame
+from toolkit.base.keyframe import evenly_spaced
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.faults import fault_tolerant
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.features.factory import build_describer
-from toolkit.frame import Frame
-from toolkit.keyframe import evenly_spaced
-from toolkit.loops.splat_maps.metric_map import MapParts, MetricMap, metric_map
-from toolkit.rendering import backend
 from toolkit.runs.settings import RunSettings
 from toolkit.runs.splat_clouds import read_cloud
-from toolkit.tracking.depth_filter import DepthFilter
-from toolkit.tracking.factory import build_tracker
-from toolkit.tracking.tracker import LocatingTracker
+from toolkit.semantics.features.factory import build_describer
+from toolkit.slam.loops.splat_maps.metric_map import MapParts, MetricMap, metric_map
+from toolkit.slam.tracking.depth_filter import DepthFilter
+from toolkit.slam.tracking.factory import build_tracker
+from toolkit.slam.tracking.tracker import LocatingTracker
+from toolkit.splatting.rendering import backend
 
 # Largest absolute logit of an opacity: that of 0.999.
 _MAX_LOGIT = 7.0

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from toolkit.errors import Stopped
+from toolkit.base.errors import Stopped
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.depth_lookup import depths_at
 from toolkit.datasets.resize import ImageGrid
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.depth_lookup import depths_at
-from toolkit.rendering import backend, render_surface
 from toolkit.runs.finished import FinishedRun
+from toolkit.splatting.rendering import backend, render_surface
 
 Array = NDArray[np.float64]
 

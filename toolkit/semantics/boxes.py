@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.geometry.open3d_bridge import open3d
 
 Array = NDArray[np.float64]
 

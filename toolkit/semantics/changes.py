@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 
 Array = NDArray[np.float64]
 ChangeKind = Literal["moved", "new", "gone"]

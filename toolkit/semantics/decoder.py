@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.errors import SettingsError
+from toolkit.base.errors import SettingsError
 from toolkit.io.arrays import arrays_below
 from toolkit.semantics.options import SemanticsOptions
 

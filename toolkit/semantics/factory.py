@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from toolkit.errors import DatasetError, SettingsError
-from toolkit.geometry.image_sides import ImageSide
+from toolkit.base.errors import DatasetError, SettingsError
+from toolkit.base.geometry.image_sides import ImageSide
 from toolkit.semantics.codes import ColourCode, SemanticCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.options import (
     CodeOptions,

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
-from toolkit.frame import Frame, without_pixels
+from toolkit.base.errors import FormatError
+from toolkit.base.frame import Frame, without_pixels
 from toolkit.semantics.segmenters.segmenter import Segmenter
 from toolkit.semantics.taxonomy import VOID, Taxonomy
 

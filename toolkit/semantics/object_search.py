@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.object_embeddings import ObjectEmbeddings, unit_rows
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.features.faiss_library import faiss
 from toolkit.io.object_embeddings import CompressedEmbeddings
+from toolkit.semantics.features.faiss_library import faiss
 
 _MAX_CODEWORDS = 256  # a code has 8 bits
 _ITERATIONS = 25

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.errors import FormatError
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.semantics.boxes import Ground, OrientedBox, oriented_box
 from toolkit.semantics.options import ObjectOptions

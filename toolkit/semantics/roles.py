@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES
 from toolkit.semantics.relations import Role
 from toolkit.semantics.scene import WALL_NAMES

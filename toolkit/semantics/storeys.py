@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.voxels import voxel_keys, voxels_of
+from toolkit.base.geometry.voxels import voxel_keys, voxels_of
 from toolkit.semantics.boxes import Ground
 
 Array = NDArray[np.float64]

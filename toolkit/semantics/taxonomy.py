@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.atomic import replacing
 from toolkit.semantics.taxonomy_parsing import VOID_NAME as VOID_NAME
 from toolkit.semantics.taxonomy_parsing import (

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.guarded.documents import read_json, read_yaml
 
 

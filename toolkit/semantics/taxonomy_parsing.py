@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.class_names import MAX_NAME, name_fault
 
 VOID_NAME = "void"

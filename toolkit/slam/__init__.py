@@ -1,1 +1,9 @@
-"""The SLAM system: prepare each frame, locate the camera, map keyframes, close loops."""
+"""SLAM: prepare each frame, locate the camera, map keyframes, close loops.
+
+Knows: `system` (one frame's way), `tracking` (poses against the map), `mapping` (Gaussians from
+keyframes), `submaps`, `loops` (from a candidate to a correction), `refinement`, `instances` and
+`growing_scene` (objects), `pacing` (frames at camera rate).
+In: frames with depth. Out: poses, submaps, loops, objects.
+For others: `system.Slam`, `result.SlamResult`, `submaps.submap.Submap`, `loops.closing`,
+`refinement`, `pacing.paced.PacedSlam`.
+"""

@@ -9,15 +9,15 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame, FrameStamp
-from toolkit.geometry import se3
+from toolkit.base.frame import Frame, FrameStamp
+from toolkit.base.geometry import se3
 from toolkit.slam.frame_covariance import by_shutter, by_view
 from toolkit.slam.frame_poses import FramePoses, TrackedFrame
-from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.health import has_depth
-from toolkit.tracking.reach import Reach, mean_pace
-from toolkit.tracking.result import TrackingResult, exposure_of
-from toolkit.tracking.rolling_shutter import MAX_GAP_S, steady_velocity
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.tracking.health import has_depth
+from toolkit.slam.tracking.reach import Reach, mean_pace
+from toolkit.slam.tracking.result import TrackingResult, exposure_of
+from toolkit.slam.tracking.rolling_shutter import MAX_GAP_S, steady_velocity
 
 Array = NDArray[np.float64]
 

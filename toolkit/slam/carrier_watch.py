@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.base.frame import Frame, without_pixels
+from toolkit.base.geometry import se3
 from toolkit.datasets.carrier import CellImages, find_carrier, note_about
 from toolkit.datasets.resize import enlarge_mask
-from toolkit.frame import Frame, without_pixels
-from toolkit.geometry import se3
-from toolkit.submaps.submap import Submap
+from toolkit.slam.submaps.submap import Submap
 
 _log = logging.getLogger(__name__)
 

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import IDENTITY
-from toolkit.gaussians.scene import InMemoryScene
-from toolkit.loops.closing.interface import LoopClosing
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.refinement.fusion import FusedMap
-from toolkit.refinement.parts import Part, T_part_world, by_size
+from toolkit.base.exposure import IDENTITY
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.camera_path import CameraPath
+from toolkit.slam.loops.closing.interface import LoopClosing
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.refinement.fusion import FusedMap
+from toolkit.slam.refinement.parts import Part, T_part_world, by_size
 from toolkit.slam.result import SlamResult, SubmapSummary, TrackedFrames, separate_parts
-from toolkit.submaps.atlas import Atlas
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.splatting.gaussians.scene import InMemoryScene
 
 
 def parts_of(atlas: Atlas, path: CameraPath, closer: LoopClosing) -> list[Part]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.loops.pose_graph.noise import pixel_covariance
-from toolkit.tracking.result import TrackingResult
+from toolkit.base.frame import Frame
+from toolkit.base.pose_graph.noise import pixel_covariance
+from toolkit.slam.tracking.result import TrackingResult
 
 Array = NDArray[np.float64]
 

@@ -9,14 +9,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import IDENTITY, NEUTRAL
-from toolkit.frame import Frame, Recorder
+from toolkit.base.exposure import IDENTITY, NEUTRAL
+from toolkit.base.frame import Frame, Recorder
+from toolkit.base.stages import Stage
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.recovery import Located, Recovery
-from toolkit.stages import Stage
-from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.proposals import FeatureProposals
-from toolkit.tracking.result import not_tracked
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.tracking.proposals import FeatureProposals
+from toolkit.slam.tracking.result import not_tracked
 
 
 class FrameLocator:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import IDENTITY, NEUTRAL, Balance, Exposure
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.loops.closing.uncertainty import PathPose
-from toolkit.submaps.atlas import Atlas
+from toolkit.base.exposure import IDENTITY, NEUTRAL, Balance, Exposure
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.slam.loops.closing.uncertainty import PathPose
+from toolkit.slam.submaps.atlas import Atlas
 
 Array = NDArray[np.float64]
 

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.depth_priors.correction import RenderedDepth
-from toolkit.frame import Frame, Recorder, without_pixels
-from toolkit.mapping.mapper import Mapper
+from toolkit.base.frame import Frame, Recorder, without_pixels
+from toolkit.base.stages import Stage
+from toolkit.depth.depth_priors.correction import RenderedDepth
 from toolkit.semantics.labeller import IgnoredPixels, Labeller
 from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.front_end import FrontEnd
-from toolkit.stages import Stage
-from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.depth_filter import DepthFilter
-from toolkit.tracking.moving import MovingTracker
-from toolkit.tracking.rolling_shutter import rectified
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.tracking.depth_filter import DepthFilter
+from toolkit.slam.tracking.moving import MovingTracker
+from toolkit.slam.tracking.rolling_shutter import rectified
 
 Array = NDArray[np.float64]
 

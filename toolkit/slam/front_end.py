@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.depth_priors.correction import DepthCorrection
-from toolkit.loops.closing.interface import LoopClosing, NoLoopClosing
+from toolkit.depth.depth_priors.correction import DepthCorrection
 from toolkit.slam.length_unit import METRE, LengthUnit
-from toolkit.tracking.placement import KeyframePlacement
-from toolkit.tracking.tracker import Tracker
+from toolkit.slam.loops.closing.interface import LoopClosing, NoLoopClosing
+from toolkit.slam.tracking.placement import KeyframePlacement
+from toolkit.slam.tracking.tracker import Tracker
 
 
 @dataclass(frozen=True)

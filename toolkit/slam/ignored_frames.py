@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from toolkit.base.frame import Frame, without_pixels
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.changed_frames import ChangedFrames
-from toolkit.frame import Frame, without_pixels
 from toolkit.semantics.segmenters.dataset_labels import RecordedLabels
 from toolkit.slam.frame_preparation import FrameSources
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import Exposure
-from toolkit.frame import Frame, Recorder
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
-from toolkit.mapping.mapper import Mapper
-from toolkit.stages import Stage
-from toolkit.submaps.atlas import Atlas
+from toolkit.base.exposure import Exposure
+from toolkit.base.frame import Frame, Recorder
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.stages import Stage
+from toolkit.slam.mapping.intermediate_frames import MIN_OUTSIDE, IntermediateFrames
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.submaps.atlas import Atlas
 
 
 class IntermediateMapping:

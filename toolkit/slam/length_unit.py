@@ -17,19 +17,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.pose_graph.graph import PoseEdge
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.findings import is_impossible_depth, length, median_depths_m
 from toolkit.datasets.samples import evenly_spaced, readable
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.scene import InMemoryScene
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.keyframe import Keyframe
-from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.refinement.fusion import FusedMap
+from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import FrameResult, SeparatePart, SlamResult, TrackedFrames
-from toolkit.submaps.submap import Submap
-from toolkit.tracking.result import TrackingResult
+from toolkit.slam.submaps.submap import Submap
+from toolkit.slam.tracking.result import TrackingResult
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.gaussians.scene import InMemoryScene
 
 _log = logging.getLogger(__name__)
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame, Recorder
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.mapping.mapper import Mapper, MappingResult
+from toolkit.base.frame import Frame, Recorder
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.stages import Stage
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.intermediate_mapping import IntermediateMapping
+from toolkit.slam.mapping.mapper import Mapper, MappingResult
 from toolkit.slam.submap_changes import SubmapChanges
-from toolkit.stages import Stage
-from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.evidence import shows_much_unmapped
-from toolkit.tracking.health import has_depth
-from toolkit.tracking.result import TrackingResult, exposure_of
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.tracking.evidence import shows_much_unmapped
+from toolkit.slam.tracking.health import has_depth
+from toolkit.slam.tracking.result import TrackingResult, exposure_of
 
 
 class NewKeyframes:

@@ -10,23 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import IDENTITY
-from toolkit.frame import Frame, FrameStamp, Recorder
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.loops.relocalisation import Relocalisation
-from toolkit.mapping.boundary import start_at
-from toolkit.mapping.mapper import Mapper
+from toolkit.base.exposure import IDENTITY
+from toolkit.base.frame import Frame, FrameStamp, Recorder
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.stages import Stage
 from toolkit.slam.camera_path import CameraPath
 from toolkit.slam.front_end import FrontEnd
-from toolkit.stages import Stage
-from toolkit.submaps.atlas import Atlas
-from toolkit.tracking.confirmation import shows_same_place
-from toolkit.tracking.health import has_depth
-from toolkit.tracking.reach import Reach
-from toolkit.tracking.result import Health, TrackingResult
-from toolkit.tracking.tracker import LocatingTracker, PartTracker
+from toolkit.slam.loops.relocalisation import Relocalisation
+from toolkit.slam.mapping.boundary import start_at
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.tracking.confirmation import shows_same_place
+from toolkit.slam.tracking.health import has_depth
+from toolkit.slam.tracking.reach import Reach
+from toolkit.slam.tracking.result import Health, TrackingResult
+from toolkit.slam.tracking.tracker import LocatingTracker, PartTracker
 
 _log = logging.getLogger(__name__)
 

@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.exposure import IDENTITY, Exposure
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.gaussians.scene import InMemoryScene
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.instances.result import InstanceMap
-from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.mapping.consensus import LabelAgreement
-from toolkit.mapping.mapper import MappingResult
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.refinement.fusion import FusedMap
+from toolkit.base.exposure import IDENTITY, Exposure
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.base.pose_graph.graph import PoseEdge
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.camera_path import CameraPath
-from toolkit.submaps.allocation import AllocationVerdict
-from toolkit.tracking.result import TrackingResult
+from toolkit.slam.instances.result import InstanceMap
+from toolkit.slam.mapping.consensus import LabelAgreement
+from toolkit.slam.mapping.mapper import MappingResult
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
+from toolkit.slam.refinement.fusion import FusedMap
+from toolkit.slam.submaps.allocation import AllocationVerdict
+from toolkit.slam.tracking.result import TrackingResult
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.gaussians.scene import InMemoryScene
 
 
 @dataclass(frozen=True)

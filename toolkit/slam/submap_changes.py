@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import ToolkitError
-from toolkit.frame import Frame, FrameStamp, Recorder
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.loops.relocalisation import Relocalisation
-from toolkit.mapping.boundary import start_next
-from toolkit.mapping.keyframes import RECENT, SEEN, is_revisit, seen_fraction, view_motions
-from toolkit.mapping.mapper import Mapper
+from toolkit.base.errors import ToolkitError
+from toolkit.base.frame import Frame, FrameStamp, Recorder
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.stages import Stage
 from toolkit.slam.front_end import FrontEnd
-from toolkit.stages import Stage
-from toolkit.submaps.atlas import Atlas
-from toolkit.submaps.submap import Submap
-from toolkit.tracking.result import Health, TrackingResult
-from toolkit.tracking.tracker import LocatingTracker
+from toolkit.slam.loops.relocalisation import Relocalisation
+from toolkit.slam.mapping.boundary import start_next
+from toolkit.slam.mapping.keyframes import RECENT, SEEN, is_revisit, seen_fraction, view_motions
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.submaps.submap import Submap
+from toolkit.slam.tracking.result import Health, TrackingResult
+from toolkit.slam.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
 

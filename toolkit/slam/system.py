@@ -10,24 +10,12 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame, FrameStamp, NullRecorder, Recorder
-from toolkit.geometry.image_sides import ImageSide
-from toolkit.growing_scene.growing import GrowingScene
-from toolkit.instances.finishing import finish_instances
-from toolkit.instances.result import InstanceMap
-from toolkit.instances.saved import SavedObjects
-from toolkit.instances.tracking import InstanceTracker
+from toolkit.base.frame import Frame, FrameStamp, NullRecorder, Recorder
+from toolkit.base.geometry.image_sides import ImageSide
+from toolkit.base.pose_graph.graph import PoseEdge
+from toolkit.base.stages import Stage
+from toolkit.base.threads import single_threaded_blas
 from toolkit.io.arrays import arrays_below
-from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.mapping.deferred import DeferredSteps
-from toolkit.mapping.intermediate_frames import IntermediateFrames
-from toolkit.mapping.keyframes import KeyframeChoice
-from toolkit.mapping.mapper import Mapper
-from toolkit.refinement.anchors import align_anchors
-from toolkit.refinement.fusion import FusedMap, fuse
-from toolkit.refinement.parts import separate
-from toolkit.refinement.saved_labels import label_saved
-from toolkit.refinement.within import StepProgress, refine_submaps
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.camera_path import CameraPath, fingerprint
 from toolkit.slam.carrier_watch import CarrierWatch
@@ -35,20 +23,32 @@ from toolkit.slam.collection import collected, parts_of, poses_beside
 from toolkit.slam.frame_locator import FrameLocator
 from toolkit.slam.frame_preparation import FramePreparation, FrameSources
 from toolkit.slam.front_end import FrontEnd
+from toolkit.slam.growing_scene.growing import GrowingScene
+from toolkit.slam.instances.finishing import finish_instances
+from toolkit.slam.instances.result import InstanceMap
+from toolkit.slam.instances.saved import SavedObjects
+from toolkit.slam.instances.tracking import InstanceTracker
 from toolkit.slam.intermediate_mapping import IntermediateMapping
 from toolkit.slam.length_unit import METRE, LengthUnit
+from toolkit.slam.mapping.deferred import DeferredSteps
+from toolkit.slam.mapping.intermediate_frames import IntermediateFrames
+from toolkit.slam.mapping.keyframes import KeyframeChoice
+from toolkit.slam.mapping.mapper import Mapper
 from toolkit.slam.new_keyframes import NewKeyframes
 from toolkit.slam.recovery import Recovery
+from toolkit.slam.refinement.anchors import align_anchors
+from toolkit.slam.refinement.fusion import FusedMap, fuse
+from toolkit.slam.refinement.parts import separate
+from toolkit.slam.refinement.saved_labels import label_saved
+from toolkit.slam.refinement.within import StepProgress, refine_submaps
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.submap_changes import SubmapChanges
-from toolkit.stages import Stage
-from toolkit.submaps.atlas import Atlas
-from toolkit.submaps.submap import Submap
-from toolkit.threads import single_threaded_blas
-from toolkit.tracking.health import is_blank
-from toolkit.tracking.moving import MovingTracker
-from toolkit.tracking.result import at_pose_of_last, exposure_of, not_tracked
-from toolkit.tracking.tracker import LocatingTracker
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.submaps.submap import Submap
+from toolkit.slam.tracking.health import is_blank
+from toolkit.slam.tracking.moving import MovingTracker
+from toolkit.slam.tracking.result import at_pose_of_last, exposure_of, not_tracked
+from toolkit.slam.tracking.tracker import LocatingTracker
 
 _log = logging.getLogger(__name__)
 

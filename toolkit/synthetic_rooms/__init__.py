@@ -1,4 +1,9 @@
-"""Synthetic rooms with furniture, textures and exact poses, depth, labels and mesh."""
+"""Synthetic rooms with furniture, textures and exact poses, depth, labels and mesh.
+
+Knows: layouts of rooms and corridors, furniture, light, walks of a camera, noise of sensors.
+In: settings. Out: recordings whose truth is known, as tests, `make-room` and benchmarks need.
+For others: the names below, and `walker`, `layouts` and `writer` for `make-room`.
+"""
 
 from toolkit.synthetic_rooms.room import RoomSettings, make_room, tiny_room
 from toolkit.synthetic_rooms.sensor import SensorModel

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.semantics.taxonomy_building.vocabulary import Entry, built_in
 from toolkit.semantics.taxonomy_parsing import folded
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.furniture import CLOTHS, DARK, PALE, WOODS, Workshop, piece
@@ -28,7 +29,6 @@ from toolkit.synthetic_rooms.patches import (
     placement,
 )
 from toolkit.synthetic_rooms.shell import SIDES, RoomPlan, Side
-from toolkit.taxonomy_building.vocabulary import Entry, built_in
 
 # Classes of the room itself; some seeds have blinds, the others curtains.
 SHELL_CLASSES = ("wall", "floor", "ceiling", "door", "window", "curtain", "blinds", "shelf")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.synthetic_rooms.patches import TexturedPatch
 
 _AMBIENT = 0.62

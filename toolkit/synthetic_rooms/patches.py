@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 
 # Light is stored at the vertices, so flat surfaces are subdivided as well.
 _VERTEX_STEP_M = 0.12

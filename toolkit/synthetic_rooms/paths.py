@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 
 # A stop: frames in which the camera stands still, and those in which it slows down before and
 # speeds up after it.

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.synthetic_rooms.atlas import paint_atlas
 from toolkit.synthetic_rooms.finishes import Finish, coated, reflectance
 from toolkit.synthetic_rooms.lighting import vertex_light

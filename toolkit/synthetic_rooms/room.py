@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import SettingsError
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.trajectory import Trajectory
+from toolkit.base.errors import SettingsError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.synthetic_rooms import collection, writer
 from toolkit.synthetic_rooms.finishes import LACQUER_REFLECTANCE
 from toolkit.synthetic_rooms.layouts import LAYOUTS, TEXTURES, Layout, Look, build_scene

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry import se3
+from toolkit.base.geometry import se3
 from toolkit.synthetic_rooms import pictures
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.finishes import Finish

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.synthetic_rooms import textures as tx
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.patches import box, cylinder, ellipsoid, placement

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.errors import DatasetError
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.synthetic_rooms.ray_casting import RayCastView, Scene
 from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 

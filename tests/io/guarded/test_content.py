@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from toolkit.errors import ToolkitError
+from toolkit.base.errors import ToolkitError
 from toolkit.io.guarded.content import DamagedError, read_content
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from toolkit.errors import SettingsError
-from toolkit.features.options import FeatureOptions
-from toolkit.loops.closing.factory import ClosingContext, build_loop_closer
-from toolkit.loops.closing.options import LoopClosureOptions
-from toolkit.loops.options import ObjectOptions
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.mapping.semantic_mapping import SemanticMapping
-from toolkit.options import validated
+from toolkit.base.errors import SettingsError
+from toolkit.base.options import validated
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
+from toolkit.semantics.features.options import FeatureOptions
+from toolkit.slam.loops.closing.factory import ClosingContext, build_loop_closer
+from toolkit.slam.loops.closing.options import LoopClosureOptions
+from toolkit.slam.loops.options import ObjectOptions
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 
 
 def test_the_feature_term_of_registration_has_the_encoder_of_the_settings():

@@ -10,39 +10,39 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.alignment.data import ResidualScales
-from toolkit.alignment.matching import Offset
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.sources import ViewDescriber
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.loops.candidates import CandidateFinder
-from toolkit.loops.closing.closer import LoopCloser
-from toolkit.loops.closing.image_edges import ImageEdges, ImageLoops
-from toolkit.loops.closing.object_loops import ObjectHypotheses, ObjectHypothesis
-from toolkit.loops.closing.options import ClosingOptions, PairOptions
-from toolkit.loops.closing.pair_matching import PairMatcher, RoughMotion, VerifiedPair
-from toolkit.loops.closing.parts import ClosingParts
-from toolkit.loops.closing.submap_loops import SubmapLoops
-from toolkit.loops.constellations import Constellation, ConstellationMatch
-from toolkit.loops.detection import LoopDetector
-from toolkit.loops.log import LoopLog, read_loop_log
-from toolkit.loops.options import CandidateOptions
-from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise
-from toolkit.loops.pose_graph.options import PoseGraphOptions
-from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
-from toolkit.loops.registration.result import RegistrationResult, failed
-from toolkit.loops.relocalisation import Relocaliser
-from toolkit.loops.verification import VerificationLimits
-from toolkit.mapping.boundary import start_next
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
-from toolkit.submaps.allocation import Allocation
-from toolkit.submaps.atlas import Atlas
-from toolkit.submaps.options import AllocationOptions
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.pose_graph.graph import PoseEdge
+from toolkit.base.pose_graph.noise import LoopNoise, OdometryNoise
+from toolkit.base.pose_graph.options import PoseGraphOptions
+from toolkit.base.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.semantics.features.builtin import BuiltinEncoder
+from toolkit.semantics.features.sources import ViewDescriber
+from toolkit.slam.loops.candidates import CandidateFinder
+from toolkit.slam.loops.closing.closer import LoopCloser
+from toolkit.slam.loops.closing.image_edges import ImageEdges, ImageLoops
+from toolkit.slam.loops.closing.object_loops import ObjectHypotheses, ObjectHypothesis
+from toolkit.slam.loops.closing.options import ClosingOptions, PairOptions
+from toolkit.slam.loops.closing.pair_matching import PairMatcher, RoughMotion, VerifiedPair
+from toolkit.slam.loops.closing.parts import ClosingParts
+from toolkit.slam.loops.closing.submap_loops import SubmapLoops
+from toolkit.slam.loops.constellations import Constellation, ConstellationMatch
+from toolkit.slam.loops.detection import LoopDetector
+from toolkit.slam.loops.log import LoopLog, read_loop_log
+from toolkit.slam.loops.options import CandidateOptions
+from toolkit.slam.loops.registration.result import RegistrationResult, failed
+from toolkit.slam.loops.relocalisation import Relocaliser
+from toolkit.slam.loops.verification import VerificationLimits
+from toolkit.slam.mapping.boundary import start_next
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.submaps.allocation import Allocation
+from toolkit.slam.submaps.atlas import Atlas
+from toolkit.slam.submaps.options import AllocationOptions
+from toolkit.slam.tracking.reach import Reach
+from toolkit.splatting.alignment.data import ResidualScales
+from toolkit.splatting.alignment.matching import Offset
 from toolkit.synthetic_rooms import tiny_room
-from toolkit.tracking.reach import Reach
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
 EAGER = CandidateOptions(

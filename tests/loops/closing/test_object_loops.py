@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.loops.closing.object_loops import ObjectHypotheses
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.closing.object_loops import ObjectHypotheses
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 T = se3.exp(np.array([0.5, 0.1, 0.0, 0.0, 0.4, 0.0]))
 CENTRES_M = np.array(

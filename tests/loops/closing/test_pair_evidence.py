@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.loops.closing import pair_matching
-from toolkit.loops.closing.log_entries import pair_values
-from toolkit.loops.closing.options import PairOptions
-from toolkit.loops.closing.pair_matching import PairMatcher, VerifiedPair
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.loops.closing import pair_matching
+from toolkit.slam.loops.closing.log_entries import pair_values
+from toolkit.slam.loops.closing.options import PairOptions
+from toolkit.slam.loops.closing.pair_matching import PairMatcher, VerifiedPair
+from toolkit.slam.tracking.rolling_shutter import as_exposed
 from toolkit.synthetic_rooms import tiny_room
-from toolkit.tracking.rolling_shutter import as_exposed
 
 
 @pytest.fixture(scope="module")

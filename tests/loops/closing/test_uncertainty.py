@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.loops.closing.uncertainty import PathPose, frame_covariances, measured_links
-from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.loops.pose_graph.noise import OdometryNoise, pixel_covariance
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph.graph import PoseEdge
+from toolkit.base.pose_graph.noise import OdometryNoise, pixel_covariance
+from toolkit.slam.loops.closing.uncertainty import PathPose, frame_covariances, measured_links
 
 NOISE = OdometryNoise()
 SURE = np.zeros((6, 6))

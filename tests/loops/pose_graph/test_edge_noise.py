@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from walks import composed
 
-from toolkit.geometry import se3
-from toolkit.loops.pose_graph.noise import LoopNoise, OdometryNoise, path_between
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph.noise import LoopNoise, OdometryNoise, path_between
 
 NOISE = OdometryNoise(
     scale=4.0,

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from walks import ODOMETRY, composed, walk
 
-from toolkit.geometry import se3
-from toolkit.loops.pose_graph import consistency
-from toolkit.loops.pose_graph.clique import largest_clique
-from toolkit.loops.pose_graph.consistency import OdometryChain, consistent_loops, quantile
-from toolkit.loops.pose_graph.graph import PoseEdge, information_of
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph import consistency
+from toolkit.base.pose_graph.clique import largest_clique
+from toolkit.base.pose_graph.consistency import OdometryChain, consistent_loops, quantile
+from toolkit.base.pose_graph.graph import PoseEdge, information_of
 
 FEW = settings(deadline=None, max_examples=15)
 seeds = st.integers(0, 2**16)

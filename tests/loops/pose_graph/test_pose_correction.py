@@ -11,20 +11,20 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.exposure import IDENTITY
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.loops.pose_graph.correction import (
+from toolkit.base.exposure import IDENTITY
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.base.pose_graph.graph import PoseEdge
+from toolkit.base.pose_graph.solver import solve
+from toolkit.slam.loops.correction import (
     PoseCorrection,
     correct_keyframes,
     keyframe_graph,
     submap_graph,
 )
-from toolkit.loops.pose_graph.graph import PoseEdge
-from toolkit.loops.pose_graph.solver import solve
-from toolkit.submaps.submap import Submap
+from toolkit.slam.submaps.submap import Submap
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 FEW = settings(deadline=None, max_examples=15)
 seeds = st.integers(0, 2**16)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from walks import LOOP, walk
 
 from benchmarks.pose_graph_files import PoseGraphArrays, graph_of, poses_along
-from toolkit.geometry import se3
-from toolkit.loops.pose_graph.graph import (
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph.graph import (
     PoseEdge,
     PoseGraph,
     adjacent,

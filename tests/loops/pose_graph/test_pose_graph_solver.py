@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from walks import walk
 
 from benchmarks.pose_graph_files import graph_of, read_pose_graph
-from toolkit.errors import DependencyError, ToolkitError
-from toolkit.geometry import se3
-from toolkit.loops.pose_graph.graph import PoseEdge, PoseGraph, information_of
-from toolkit.loops.pose_graph.solver import _KERNEL_WIDTH, kernel_weights, solve
+from toolkit.base.errors import DependencyError, ToolkitError
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph.graph import PoseEdge, PoseGraph, information_of
+from toolkit.base.pose_graph.solver import _KERNEL_WIDTH, kernel_weights, solve
 
 FEW = settings(deadline=None, max_examples=8)
 seeds = st.integers(0, 2**16)

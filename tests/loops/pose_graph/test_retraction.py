@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from walks import Walk, walk
 
-from toolkit.geometry import se3
-from toolkit.loops.pose_graph.consistency import quantile
-from toolkit.loops.pose_graph.graph import PoseEdge, information_of
-from toolkit.loops.pose_graph.options import PoseGraphOptions
-from toolkit.loops.pose_graph.retraction import PoseGraphOptimiser
-from toolkit.loops.pose_graph.solver import solve
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph.consistency import quantile
+from toolkit.base.pose_graph.graph import PoseEdge, information_of
+from toolkit.base.pose_graph.options import PoseGraphOptions
+from toolkit.base.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.base.pose_graph.solver import solve
 
 FEW = settings(deadline=None, max_examples=3)
 seeds = st.integers(0, 2**16)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.loops.pose_graph.similarity import SimilarityEdge, solve_similarities
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph.similarity import SimilarityEdge, solve_similarities
 
 
 def circle(count: int = 24) -> np.ndarray:

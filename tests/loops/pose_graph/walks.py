@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.pose_graph_files import poses_along
-from toolkit.geometry import se3
-from toolkit.loops.pose_graph.graph import PoseEdge, PoseGraph, information_of
+from toolkit.base.geometry import se3
+from toolkit.base.pose_graph.graph import PoseEdge, PoseGraph, information_of
 
 Array = NDArray[np.float64]
 

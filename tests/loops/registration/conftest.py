@@ -7,9 +7,9 @@ import pytest
 import registered_room
 from registered_room import Scene, classes, scene
 
-from toolkit.keyframe import Keyframe
-from toolkit.loops.registration.views import ViewRenderer
-from toolkit.mapping.semantic_mapping import SemanticMapping
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.loops.registration.views import ViewRenderer
+from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 
 
 @pytest.fixture(scope="session")

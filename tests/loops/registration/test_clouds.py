@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved
 
-from toolkit.geometry import se3
-from toolkit.loops.registration import clouds
-from toolkit.loops.registration.clouds import CloudRegistration, scaled_information
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.registration import clouds
+from toolkit.slam.loops.registration.clouds import CloudRegistration, scaled_information
 
 
 @pytest.mark.parametrize("search", ["ransac", "fast"])

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved, thumbnail
 
-from toolkit.geometry import se3
-from toolkit.loops.registration import coarse
-from toolkit.loops.registration.coarse import descriptor_pairs, register_coarse
-from toolkit.loops.registration.options import RegistrationOptions
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.registration import coarse
+from toolkit.slam.loops.registration.coarse import descriptor_pairs, register_coarse
+from toolkit.slam.loops.registration.options import RegistrationOptions
 
 NOWHERE_NEAR = motion(4, 7.0, 150.0)
 

@@ -7,18 +7,18 @@ import pytest
 import torch
 from registered_room import motion
 
-from toolkit.features.builtin import BuiltinEncoder
-from toolkit.features.factory import build_differentiable_describer
-from toolkit.features.options import FeatureOptions
-from toolkit.loops.registration import first_order_fine
-from toolkit.loops.registration.clouds import CloudRegistration
-from toolkit.loops.registration.factory import build_registrar, needs_describer
-from toolkit.loops.registration.fine import FineRegistration
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.loops.registration.result import RegistrationResult
-from toolkit.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration
-from toolkit.loops.registration.two_way import TwoWayRegistration
-from toolkit.loops.registration.views import ViewRenderer
+from toolkit.semantics.features.builtin import BuiltinEncoder
+from toolkit.semantics.features.factory import build_differentiable_describer
+from toolkit.semantics.features.options import FeatureOptions
+from toolkit.slam.loops.registration import first_order_fine
+from toolkit.slam.loops.registration.clouds import CloudRegistration
+from toolkit.slam.loops.registration.factory import build_registrar, needs_describer
+from toolkit.slam.loops.registration.fine import FineRegistration
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.loops.registration.result import RegistrationResult
+from toolkit.slam.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration
+from toolkit.slam.loops.registration.two_way import TwoWayRegistration
+from toolkit.slam.loops.registration.views import ViewRenderer
 
 KINDS = {
     "sgr": SemanticGuidedRegistration,

@@ -9,12 +9,12 @@ import pytest
 import torch
 from registered_room import Scene, error, motion
 
-from toolkit.alignment.joint import align
-from toolkit.geometry import se3
-from toolkit.loops.registration import fine
-from toolkit.loops.registration.fine import FineRegistration, mismatched_classes
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.loops.registration.views import ViewRenderer
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.registration import fine
+from toolkit.slam.loops.registration.fine import FineRegistration, mismatched_classes
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.loops.registration.views import ViewRenderer
+from toolkit.splatting.alignment.joint import align
 
 
 @pytest.mark.parametrize(("metres", "degrees"), [(0.0, 0.0), (0.05, 3.0), (0.1, 6.0)])

@@ -7,16 +7,16 @@ import pytest
 import torch
 from registered_room import Scene, error, motion, moved
 
-from toolkit.features.sources import ViewDescriber
-from toolkit.geometry import se3
-from toolkit.loops.registration import first_order_fine
-from toolkit.loops.registration.first_order_fine import (
+from toolkit.base.geometry import se3
+from toolkit.semantics.features.sources import ViewDescriber
+from toolkit.slam.loops.registration import first_order_fine
+from toolkit.slam.loops.registration.first_order_fine import (
     FirstOrderFineRegistration,
     _Objective,
 )
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.mapping.view_features import ViewFeatures
-from toolkit.rendering import render
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.mapping.view_features import ViewFeatures
+from toolkit.splatting.rendering import render
 
 
 def test_the_papers_optimiser_comes_near(room: Scene, renderer):

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from registered_room import error, motion
 
-from toolkit.geometry import se3
-from toolkit.loops.registration.motion_average import (
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.registration.motion_average import (
     SIGMA_M,
     SIGMA_RAD,
     _inverse_right_jacobian,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from registered_room import Scene, error, motion, moved
 
-from toolkit.alignment import matching
-from toolkit.alignment.health import HealthLimits
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.loops.registration.coarse import register_coarse
-from toolkit.loops.registration.motion_average import SIGMA_M
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.loops.registration.pooled import pooled_motion
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.loops.registration.coarse import register_coarse
+from toolkit.slam.loops.registration.motion_average import SIGMA_M
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.loops.registration.pooled import pooled_motion
+from toolkit.splatting.alignment import matching
+from toolkit.splatting.alignment.health import HealthLimits
 
 # What the coarse stage's information claims of a hypothesis: features alone are no better in so
 # small images, and the fine stage begins there.

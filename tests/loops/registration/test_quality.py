@@ -7,16 +7,16 @@ import pytest
 import torch
 from registered_room import Scene, motion
 
-from toolkit.alignment.data import FrameLevel
-from toolkit.frame import Frame
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.keyframe import Keyframe
-from toolkit.loops.registration import views
-from toolkit.loops.registration.quality import check_alignment, compare
-from toolkit.loops.registration.views import SubmapView, views_of_overlap
-from toolkit.submaps.submap import Submap
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.loops.registration import views
+from toolkit.slam.loops.registration.quality import check_alignment, compare
+from toolkit.slam.loops.registration.views import SubmapView, views_of_overlap
+from toolkit.slam.submaps.submap import Submap
+from toolkit.splatting.alignment.data import FrameLevel
+from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 CAMERA = Camera(20.0, 20.0, 9.5, 7.5, 20, 16)
 

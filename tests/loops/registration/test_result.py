@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from registered_room import Scene, motion
 
-from toolkit.geometry import se3
-from toolkit.loops.registration.result import RegistrationResult, failed, register_pair
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.registration.result import RegistrationResult, failed, register_pair
 
 seeds = st.integers(0, 10_000)
 few = settings(max_examples=15)

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.loops.registration.factory import build_registrar
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.loops.registration.result import failed
-from toolkit.loops.registration.sgr import SecondOpinion
-from toolkit.loops.registration.views import ViewRenderer
+from toolkit.base.geometry import se3
+from toolkit.slam.loops.registration.factory import build_registrar
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.loops.registration.result import failed
+from toolkit.slam.loops.registration.sgr import SecondOpinion
+from toolkit.slam.loops.registration.views import ViewRenderer
 
 
 class Says:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from registered_room import Scene, error, motion, moved, seen_by
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.loops.registration.options import RegistrationOptions
-from toolkit.loops.registration.result import register_pair
-from toolkit.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.slam.loops.registration.options import RegistrationOptions
+from toolkit.slam.loops.registration.result import register_pair
+from toolkit.slam.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.keyframe import Keyframe
-from toolkit.loops.options import RelocalisationOptions
-from toolkit.loops.splat_maps.localisation import LocatedFrame, SplatMapLocaliser
-from toolkit.loops.splat_maps.views import virtual_keyframe
-from toolkit.mapping.mapper import Mapper
-from toolkit.mapping.options import MapperOptions
-from toolkit.rendering import backend
+from toolkit.base.geometry import se3
+from toolkit.base.keyframe import Keyframe
+from toolkit.slam.loops.options import RelocalisationOptions
+from toolkit.slam.loops.splat_maps.localisation import LocatedFrame, SplatMapLocaliser
+from toolkit.slam.loops.splat_maps.views import virtual_keyframe
+from toolkit.slam.mapping.mapper import Mapper
+from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.tracking.dense import DenseTracker
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import backend
 from toolkit.synthetic_rooms import tiny_room
-from toolkit.tracking.dense import DenseTracker
 
 FACTOR = 1.7
 

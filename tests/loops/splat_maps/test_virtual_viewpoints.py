@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from toolkit.gaussians.cloud import GaussianCloud
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.loops.splat_maps.viewpoints import extent, viewpoints
-from toolkit.loops.splat_maps.views import view_camera, virtual_keyframe
-from toolkit.rendering import backend
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.slam.loops.splat_maps.viewpoints import extent, viewpoints
+from toolkit.slam.loops.splat_maps.views import view_camera, virtual_keyframe
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.splatting.rendering import backend
 
 CAMERA = Camera(50.0, 50.0, 31.5, 23.5, 64, 48)
 HALF = np.array([2.0, 1.5, 1.2])

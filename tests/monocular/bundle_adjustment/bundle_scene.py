@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.monocular.bundle_adjustment.problem import BundleProblem, Landmarks, Observations
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.depth.monocular.bundle_adjustment.problem import BundleProblem, Landmarks, Observations
 
 CAMERA = Camera(300.0, 310.0, 160.0, 120.0, 320, 240)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from bundle_scene import CAMERA, disturbed, scene
 
-from toolkit.monocular.bundle_adjustment import native, reference
-from toolkit.monocular.bundle_adjustment.problem import BundleOptions, Observations
-from toolkit.monocular.bundle_adjustment.solver import adjust
-from toolkit.native import available_instruction_sets, load_variant
+from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.depth.monocular.bundle_adjustment import native, reference
+from toolkit.depth.monocular.bundle_adjustment.problem import BundleOptions, Observations
+from toolkit.depth.monocular.bundle_adjustment.solver import adjust
 
 PRECISE = BundleOptions(iterations=50, min_decrease=1e-12)
 
@@ -134,7 +134,7 @@ def test_an_anchor_is_not_observed():
 
 
 def test_a_machine_without_kernels_uses_the_reference(monkeypatch):
-    monkeypatch.setattr("toolkit.monocular.bundle_adjustment.solver.kernels", lambda: None)
+    monkeypatch.setattr("toolkit.depth.monocular.bundle_adjustment.solver.kernels", lambda: None)
     truth = scene(poses=3, landmarks=12)
     found = adjust(disturbed(truth, 0.3), PRECISE)
     np.testing.assert_allclose(found.inverse_depth, truth.landmarks.inverse_depth, atol=1e-5)

@@ -12,9 +12,9 @@ import pytest
 from bundle_scene import CAMERA, disturbed, scene
 from gtsam.symbol_shorthand import L, X
 
-from toolkit.geometry import se3
-from toolkit.monocular.bundle_adjustment.problem import BundleOptions, BundleProblem
-from toolkit.monocular.bundle_adjustment.solver import adjust
+from toolkit.base.geometry import se3
+from toolkit.depth.monocular.bundle_adjustment.problem import BundleOptions, BundleProblem
+from toolkit.depth.monocular.bundle_adjustment.solver import adjust
 
 SQUARES = BundleOptions(iterations=100, huber_px=1e6, min_decrease=1e-14)
 HUBER = replace(SQUARES, huber_px=1.0)

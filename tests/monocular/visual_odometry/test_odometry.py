@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from moving_camera import error_m, film, turn, walk
 
-from toolkit.alignment.levels import intensity_of
-from toolkit.features.tracks import FeatureTracks
-from toolkit.frame import Frame
-from toolkit.geometry.trajectory import Trajectory
-from toolkit.monocular.visual_odometry.odometry import OdometryResult, State, VisualOdometry
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.depth.monocular.visual_odometry.odometry import OdometryResult, State, VisualOdometry
+from toolkit.semantics.features.tracks import FeatureTracks
+from toolkit.splatting.alignment.levels import intensity_of
 
 
 def grey(frame: Frame) -> np.ndarray:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from test_scale_drift import sparse_map
 
-from toolkit.features.tracks import Features
-from toolkit.geometry import se3
-from toolkit.monocular.bundle_adjustment.problem import BundleOptions
-from toolkit.monocular.visual_odometry import reversal
-from toolkit.monocular.visual_odometry.reversal import without_reversal
-from toolkit.monocular.visual_odometry.sparse_map import SparseMap
+from toolkit.base.geometry import se3
+from toolkit.depth.monocular.bundle_adjustment.problem import BundleOptions
+from toolkit.depth.monocular.visual_odometry import reversal
+from toolkit.depth.monocular.visual_odometry.reversal import without_reversal
+from toolkit.depth.monocular.visual_odometry.sparse_map import SparseMap
+from toolkit.semantics.features.tracks import Features
 
 VIEWS, NOISE_PX = 9, 0.2
 # Landmarks are shown by few views, as where a camera turns.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolkit.features.tracks import NO_FEATURES
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.monocular.visual_odometry.landmarks import OdometryView
-from toolkit.monocular.visual_odometry.scale_drift import scale_matters, scale_sigma
-from toolkit.monocular.visual_odometry.sparse_map import PointTracks, SparseMap
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.depth.monocular.visual_odometry.landmarks import OdometryView
+from toolkit.depth.monocular.visual_odometry.scale_drift import scale_matters, scale_sigma
+from toolkit.depth.monocular.visual_odometry.sparse_map import PointTracks, SparseMap
+from toolkit.semantics.features.tracks import NO_FEATURES
 
 CAMERA = Camera(300.0, 300.0, 160.0, 120.0, 320, 240)
 

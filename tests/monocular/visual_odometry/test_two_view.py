@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
-from toolkit.monocular.visual_odometry.two_view import (
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
+from toolkit.depth.monocular.visual_odometry.two_view import (
     fit_rotation,
     parallax_rad,
     rays,

@@ -10,8 +10,8 @@ import pytest
 from fake_endpoint import KEY, honest
 
 from benchmarks.chat_server import ChatServer
-from toolkit.taxonomy_building.language_model.chat import ModelIdentity
-from toolkit.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
+from toolkit.semantics.taxonomy_building.language_model.chat import ModelIdentity
+from toolkit.semantics.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
 
 # Every client loads the machine's certificates, which takes ten times as long as a local
 # exchange without them.

@@ -14,19 +14,19 @@ import pytest
 from fake_endpoint import KEY, honest, knows_no, says
 
 from benchmarks.chat_server import Response, fails
-from toolkit.errors import DependencyError, SettingsError, ToolkitError
-from toolkit.taxonomy_building.grouper import Question
-from toolkit.taxonomy_building.language_model import transport
-from toolkit.taxonomy_building.language_model.chat import (
+from toolkit.base.errors import DependencyError, SettingsError, ToolkitError
+from toolkit.semantics.taxonomy_building.grouper import Question
+from toolkit.semantics.taxonomy_building.language_model import transport
+from toolkit.semantics.taxonomy_building.language_model.chat import (
     ChatAnswer,
     ModelIdentity,
     NoModelError,
 )
-from toolkit.taxonomy_building.language_model.endpoint import (
+from toolkit.semantics.taxonomy_building.language_model.endpoint import (
     Endpoint,
     endpoint_from_environment,
 )
-from toolkit.taxonomy_building.language_model.prompts import request_for
+from toolkit.semantics.taxonomy_building.language_model.prompts import request_for
 
 REQUEST = request_for(Question(("bed", "chair", "lamp"), "size"), seed=7)
 

@@ -9,13 +9,13 @@ from dataclasses import replace
 import pytest
 from fake_endpoint import KEY, says
 
-from toolkit.errors import FormatError, RunFolderError, SettingsError
-from toolkit.taxonomy_building.language_model.chat import (
+from toolkit.base.errors import FormatError, RunFolderError, SettingsError
+from toolkit.semantics.taxonomy_building.language_model.chat import (
     ChatAnswer,
     ChatRequest,
     ModelIdentity,
 )
-from toolkit.taxonomy_building.language_model.exchanges import (
+from toolkit.semantics.taxonomy_building.language_model.exchanges import (
     CachedModel,
     RecordingModel,
     ReplayedModel,

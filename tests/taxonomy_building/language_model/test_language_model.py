@@ -9,10 +9,10 @@ import pytest
 from fake_endpoint import changed, honest, right_groups, says
 
 from benchmarks.chat_server import Groups, Response, as_text, fails, items_of
-from toolkit.errors import ToolkitError
-from toolkit.taxonomy_building.critic import settle
-from toolkit.taxonomy_building.grouper import Grouping, InvalidAnswerError, Question
-from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.base.errors import ToolkitError
+from toolkit.semantics.taxonomy_building.critic import settle
+from toolkit.semantics.taxonomy_building.grouper import Grouping, InvalidAnswerError, Question
+from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
 
 NAMES = """
 base-cabinet bathtub bed bench bike bin blinds book bottle box candle chair clock cup curtain

@@ -14,8 +14,8 @@ from test_language_model import CLASSES, INJECTIONS
 from test_trees_of_a_model import moody
 
 from benchmarks.chat_server import fails
-from toolkit.cli.main import main
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.tools.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = (*CLASSES, INJECTIONS[0])
@@ -30,7 +30,7 @@ def build(tmp_path, fake) -> Callable[..., subprocess.CompletedProcess[str]]:
 
     def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
         inherited = {n: v for n, v in os.environ.items() if not n.startswith("SEMSPLAT_LLM")}
-        program = [sys.executable, "-m", "toolkit.cli.main", "--verbose", "build-taxonomy"]
+        program = [sys.executable, "-m", "toolkit.tools.cli.main", "--verbose", "build-taxonomy"]
         return subprocess.run(
             [*program, "--classes", "names.txt", *words],
             cwd=tmp_path,

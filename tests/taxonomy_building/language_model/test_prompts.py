@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.taxonomy_building.grouper import InvalidAnswerError, Question
-from toolkit.taxonomy_building.language_model.chat import ChatAnswer
-from toolkit.taxonomy_building.language_model.prompts import read_answer, request_for
+from toolkit.semantics.taxonomy_building.grouper import InvalidAnswerError, Question
+from toolkit.semantics.taxonomy_building.language_model.chat import ChatAnswer
+from toolkit.semantics.taxonomy_building.language_model.prompts import read_answer, request_for
 
 QUESTION = Question(("bed", "chair", "lamp"), "size")
 RIGHT = {"small": ("lamp",), "large": ("bed", "chair")}

@@ -17,15 +17,18 @@ from benchmarks.scripted_model import (
     scripted_tree,
 )
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.semantics.taxonomy_building.builder import build_taxonomy
+from toolkit.semantics.taxonomy_building.language_model.chat import NoModelError
+from toolkit.semantics.taxonomy_building.language_model.exchanges import (
+    RecordingModel,
+    ReplayedModel,
+)
+from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.semantics.taxonomy_building.rules import RuleGrouper
+from toolkit.semantics.taxonomy_building.shapes import GivenShapes
 from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
-from toolkit.taxonomy_building.builder import build_taxonomy
-from toolkit.taxonomy_building.language_model.chat import NoModelError
-from toolkit.taxonomy_building.language_model.exchanges import RecordingModel, ReplayedModel
-from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
-from toolkit.taxonomy_building.rules import RuleGrouper
-from toolkit.taxonomy_building.shapes import GivenShapes
 
-REPAIRS = "toolkit.taxonomy_building.repairs"
+REPAIRS = "toolkit.semantics.taxonomy_building.repairs"
 
 
 @pytest.fixture

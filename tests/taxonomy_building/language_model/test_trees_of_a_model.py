@@ -10,17 +10,17 @@ from fake_endpoint import honest
 from test_language_model import CLASSES, INJECTIONS, LIES
 
 from benchmarks.chat_server import Behaviour, Response, fails
-from toolkit.errors import SettingsError
+from toolkit.base.errors import SettingsError
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
-from toolkit.taxonomy_building.builder import BuildOptions, build_taxonomy
-from toolkit.taxonomy_building.language_model.chat import ChatModel, NoModelError
-from toolkit.taxonomy_building.language_model.exchanges import (
+from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
+from toolkit.semantics.taxonomy_building.language_model.chat import ChatModel, NoModelError
+from toolkit.semantics.taxonomy_building.language_model.exchanges import (
     CachedModel,
     RecordingModel,
     ReplayedModel,
 )
-from toolkit.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
+from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 OBJECTS = Path(__file__).resolve().parents[3] / "benchmarks/data/objects_200.txt"
 

@@ -14,10 +14,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.agreement.pairs import FramePair
 from toolkit.datasets.jackknife import jackknife_sigmas
-from toolkit.geometry import se3
-from toolkit.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

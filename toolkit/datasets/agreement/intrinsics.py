@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.agreement.lens import derivatives, distorted, undistorted
 from toolkit.datasets.agreement.pairs import FramePair
 from toolkit.datasets.jackknife import jackknife_sigmas
 from toolkit.datasets.shutter.alignment import RelativePose
-from toolkit.geometry import se3
-from toolkit.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.agreement.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from toolkit.datasets.agreement.pairs import aligned_pairs
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.samples import SmallFrames
-from toolkit.geometry.camera import Camera
 
 # Pairs of frames are aligned again with intrinsics that are far from the stated ones.
 _ROUNDS = 3

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.geometry import se3
 from toolkit.datasets.shutter.levels import ShutterLevel
-from toolkit.geometry import se3
 
 Array = NDArray[np.float64]
 

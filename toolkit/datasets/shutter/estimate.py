@@ -9,12 +9,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.errors import ToolkitError
+from toolkit.base.frame import Frame
 from toolkit.datasets.jackknife import jackknife_sigmas
 from toolkit.datasets.prefetch import read_ahead
 from toolkit.datasets.shutter.alignment import ShutterTimes, TimeEquations
 from toolkit.datasets.shutter.windows import MIN_FRAMES, ShutterWindow
-from toolkit.errors import ToolkitError
-from toolkit.frame import Frame
 
 Array = NDArray[np.float64]
 

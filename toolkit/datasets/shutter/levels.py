@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.geometry.camera import Camera
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
 from toolkit.datasets.shutter.alignment import (
     MovingView,
     RelativePose,
@@ -17,8 +19,6 @@ from toolkit.datasets.shutter.alignment import (
     time_equations,
 )
 from toolkit.datasets.shutter.levels import ShutterLevel, shutter_levels
-from toolkit.frame import Frame
-from toolkit.geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from toolkit.io.printable import printable
+from toolkit.base.printable import printable
 
 PathLike = str | os.PathLike[str]
 

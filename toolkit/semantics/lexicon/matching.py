@@ -7,7 +7,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.semantics.lexicon.nouns import Lexicon, forms, load_lexicon
 from toolkit.semantics.taxonomy import Node, Taxonomy
 from toolkit.semantics.taxonomy_parsing import folded

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
+from toolkit.base.frame import Frame
 from toolkit.semantics.segmenters.vocabulary import ClassVocabulary
 
 _log = logging.getLogger(__name__)

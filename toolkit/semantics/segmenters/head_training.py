@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError
-from toolkit.frame import Frame
+from toolkit.base.errors import DatasetError
+from toolkit.base.frame import Frame
 from toolkit.semantics.segmenters.linear_head import HeadSegmenter, LinearHead
 from toolkit.semantics.segmenters.patch_features import PatchEncoder
 from toolkit.semantics.segmenters.vocabulary import ClassVocabulary

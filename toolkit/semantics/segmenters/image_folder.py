@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError
-from toolkit.frame import Frame
+from toolkit.base.errors import DatasetError
+from toolkit.base.frame import Frame
 from toolkit.io.class_names import read_class_colours, read_class_names
 from toolkit.io.images import read_labels, read_rgb
 from toolkit.io.user_files import visible

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.errors import DependencyError, FormatError
-from toolkit.frame import Frame
+from toolkit.base.errors import DependencyError, FormatError
+from toolkit.base.frame import Frame
 from toolkit.io.atomic import replacing
 from toolkit.io.guarded.content import check_regular
 from toolkit.io.guarded.documents import parse_json

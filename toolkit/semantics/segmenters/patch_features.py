@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.features.pretrained.vision_transformer import VisionTransformer
+from toolkit.semantics.features.pretrained.vision_transformer import VisionTransformer
 
 
 class PatchEncoder:

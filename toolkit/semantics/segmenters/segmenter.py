@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
+from toolkit.base.frame import Frame
 
 
 class Segmenter(Protocol):

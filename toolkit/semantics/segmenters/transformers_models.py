@@ -9,10 +9,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.errors import FormatError
-from toolkit.features.pretrained.loading import device_of, load_image_processor, load_model
-from toolkit.frame import Frame
+from toolkit.base.errors import FormatError
+from toolkit.base.frame import Frame
 from toolkit.io.class_names import VOID_NAMES
+from toolkit.semantics.features.pretrained.loading import (
+    device_of,
+    load_image_processor,
+    load_model,
+)
 
 # Options of image processors that change the field of view; they are disabled.
 _CROPS = ("do_center_crop", "do_pad")

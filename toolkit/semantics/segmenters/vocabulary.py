@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DatasetError
+from toolkit.base.errors import DatasetError
 
 _MAX_LISTED = 5
 

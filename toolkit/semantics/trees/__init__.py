@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 
-from toolkit.errors import FormatError
+from toolkit.base.errors import FormatError
 from toolkit.semantics.taxonomy import VOID_NAME, Taxonomy
 from toolkit.semantics.taxonomy_parsing import folded
 

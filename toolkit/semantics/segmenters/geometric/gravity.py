@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.image_sides import BORDERS, ImageSide, turned_upright
+from toolkit.base.geometry.image_sides import BORDERS, ImageSide, turned_upright
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.geometry.image_sides import BORDERS, ImageSide, turned_upright
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.image_sides import BORDERS, ImageSide, turned_upright
 from toolkit.semantics.segmenters.geometric.gravity import UpEstimator, attitude
 from toolkit.semantics.segmenters.geometric.patches import planar_patches
 from toolkit.semantics.segmenters.geometric.surface_grid import SurfaceGrid, surface_grid

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry.camera import Camera
 from toolkit.semantics.segmenters.geometric.levelled import LevelledGrid, Mask
 from toolkit.semantics.segmenters.geometric.room import Room
 from toolkit.semantics.segmenters.geometric.surface_grid import SurfaceGrid

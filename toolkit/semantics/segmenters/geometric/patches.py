@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.open3d_bridge import open3d
+from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.semantics.segmenters.geometric.surface_grid import SurfaceGrid
 
 # Approximate number of points in which Open3D detects patches.

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.image_sides import ImageSide
+from toolkit.base.geometry.image_sides import ImageSide
 from toolkit.semantics.segmenters.geometric.gravity import UpEstimator
 from toolkit.semantics.segmenters.geometric.levelled import LevelledGrid
 from toolkit.semantics.segmenters.geometric.levels import Level

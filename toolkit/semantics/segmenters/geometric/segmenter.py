@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.frame import Frame
-from toolkit.geometry.image_sides import ImageSide
+from toolkit.base.frame import Frame
+from toolkit.base.geometry.image_sides import ImageSide
 from toolkit.semantics.options import GeometricOptions
 from toolkit.semantics.segmenters.geometric.labelling import (
     CEILING,

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry.camera import Camera
+from toolkit.base.geometry.camera import Camera
 
 # Radius of the windows of the plane fits in cells; larger windows lose small surfaces.
 _RADIUS = 3
