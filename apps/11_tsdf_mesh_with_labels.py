@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.meshes import TriangleMesh
-from toolkit.runs.labelled import load_labelled_run
-from toolkit.runs.meshing import MeshOptions, surface_mesh
+from toolkit.runs.maps.labelled import load_labelled_run
+from toolkit.runs.maps.meshing import MeshOptions, surface_mesh
 from toolkit.semantics.palette import Palette
 from toolkit.tools.cli.errors import one_line_errors
 

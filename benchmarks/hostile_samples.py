@@ -223,8 +223,8 @@ def _settings(path: Path) -> None:
 def _run(folder: Path) -> None:
     from toolkit.io.arrays import read_array_tree
     from toolkit.runs.evaluation.metrics import flattened, read_metrics
-    from toolkit.runs.finished import load_run
-    from toolkit.runs.saved_objects import load_objects
+    from toolkit.runs.maps.finished import load_run
+    from toolkit.runs.maps.saved_objects import load_objects
     from toolkit.slam.loops.log import read_loop_log
 
     run = load_run(folder / "run")

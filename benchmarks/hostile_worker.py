@@ -215,7 +215,7 @@ def _import() -> None:
     import contextlib
     import importlib
 
-    import toolkit.runs.finished  # noqa: F401
+    import toolkit.runs.maps.finished  # noqa: F401
     from toolkit.base.geometry.open3d_bridge import open3d
 
     open3d()

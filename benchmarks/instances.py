@@ -27,7 +27,7 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation.instances import instance_scores
-from toolkit.runs.map_files import splat_labels
+from toolkit.runs.maps.map_files import splat_labels
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.query import LabelledMap

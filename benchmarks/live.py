@@ -24,7 +24,7 @@ from benchmarks.tables import Metrics, table_of
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.runs.evaluation.metrics import flattened, read_metrics
 from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 
 FPS = 10
 COLUMNS = (

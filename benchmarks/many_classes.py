@@ -20,7 +20,7 @@ from benchmarks.scripted_model import scripted_tree
 from benchmarks.tables import Metrics, Rows, Table, Target, median_of, table_of, target_table
 from benchmarks.taxonomies import channels
 from benchmarks.trees import tree_metrics
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.semantics.taxonomy import Taxonomy
 
 ROOM = "collection"

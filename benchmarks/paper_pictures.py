@@ -23,7 +23,7 @@ from benchmarks.paper_runs import Effort, PaperRuns
 from benchmarks.repository import ROOT
 from toolkit.base.geometry import se3
 from toolkit.runs.evaluation.images import psnr_db
-from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.maps.finished import FinishedRun, load_run
 from toolkit.splatting.rendering import backend, render_surface
 
 ROWS, SCALE, GAP = 3, 2, 4

@@ -15,9 +15,9 @@ from scipy.spatial import KDTree
 from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES
-from toolkit.semantics.relations import Role
-from toolkit.semantics.roles import ENCLOSING_NAMES
-from toolkit.semantics.scene import WALL_NAMES
+from toolkit.semantics.scene_graph.relations import Role
+from toolkit.semantics.scene_graph.roles import ENCLOSING_NAMES
+from toolkit.semantics.scene_graph.scene import WALL_NAMES
 from toolkit.synthetic_rooms.layouts import LAYOUTS, Layout, build_parts
 from toolkit.synthetic_rooms.parts import Part
 from toolkit.synthetic_rooms.shell import DOOR_WIDTH_M

@@ -17,7 +17,7 @@ from toolkit.io.images import write_png
 from toolkit.io.labelled_points import LabelledPoints, write_labelled_points
 from toolkit.io.posed_images import ColouredPoints, PosedImage, write_transforms
 from toolkit.io.visualisation import colour_image
-from toolkit.runs.finished import FinishedRun
+from toolkit.runs.maps.finished import FinishedRun
 
 HOLD_OUT = 5
 # Steps per keyframe of a map that is refined for longer.

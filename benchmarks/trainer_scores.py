@@ -16,8 +16,8 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.io.visualisation import Panel, RgbImage, colour_image, strip
 from toolkit.runs.evaluation.images import mean_or_none, psnr_db, ssim_and_ms_ssim
-from toolkit.runs.finished import FinishedRun
-from toolkit.runs.splat_clouds import read_cloud
+from toolkit.runs.maps.finished import FinishedRun
+from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.rendering import render
 

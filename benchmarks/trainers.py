@@ -31,7 +31,7 @@ from benchmarks.trainer_runs import (
 )
 from benchmarks.trainer_scores import Look, near_views, scores, trained_look
 from toolkit.io.images import write_png
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 
 VARIABLE = "OPENSPLAT"
 UNSEEN, CPU = "unseen psnr db", "cpu s"

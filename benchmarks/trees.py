@@ -26,7 +26,7 @@ from benchmarks.tables import Table, median_cell
 from toolkit.base.geometry import se3
 from toolkit.runs.evaluation.metrics import flattened, read_metrics
 from toolkit.runs.evaluation.segmentation import class_iou, confusion
-from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.maps.finished import FinishedRun, load_run
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.semantics.taxonomy_building.language_model.exchanges import (

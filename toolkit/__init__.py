@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from toolkit.datasets.registry import open_dataset
     from toolkit.runs.building import build_slam
     from toolkit.runs.execution import run
-    from toolkit.runs.finished import load_run
+    from toolkit.runs.maps.finished import load_run
     from toolkit.runs.scoring import evaluate
     from toolkit.runs.settings import RunSettings, load_settings
     from toolkit.splatting.rendering import render
@@ -43,7 +43,7 @@ _MODULES = {
     "RunSettings": "toolkit.runs.settings",
     "build_slam": "toolkit.runs.building",
     "evaluate": "toolkit.runs.scoring",
-    "load_run": "toolkit.runs.finished",
+    "load_run": "toolkit.runs.maps.finished",
     "load_settings": "toolkit.runs.settings",
     "open_dataset": "toolkit.datasets.registry",
     "render": "toolkit.splatting.rendering",

@@ -12,7 +12,7 @@ from test_finished_run_programs import one_line_of_error
 
 from toolkit.io.images import read_rgb
 from toolkit.io.splats import read_splats
-from toolkit.runs.editing import painted_harmonics
+from toolkit.runs.maps.editing import painted_harmonics
 from toolkit.tools.cli.main import main
 
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from room_runs import QUICK, RoomRuns
 
-from toolkit.runs.finished import load_run
-from toolkit.runs.splat_clouds import read_cloud
+from toolkit.runs.maps.finished import load_run
+from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.splatting.gaussians.cloud import PIXEL_FILTER
 from toolkit.splatting.rendering import render
 from toolkit.tools.cli.main import main

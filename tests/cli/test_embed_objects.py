@@ -14,8 +14,8 @@ from tiny_models import save_clip
 
 from toolkit.base.errors import ToolkitError
 from toolkit.io.object_embeddings import read_objects, unit_rows
-from toolkit.runs.labelled import load_labelled_run
-from toolkit.runs.object_embedding import (
+from toolkit.runs.maps.labelled import load_labelled_run
+from toolkit.runs.maps.object_embedding import (
     EmbeddingOptions,
     ObjectView,
     best_views,

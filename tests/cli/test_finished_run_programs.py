@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from toolkit.io.images import read_rgb, write_rgb
-from toolkit.runs.splat_clouds import read_cloud
+from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.tools.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]

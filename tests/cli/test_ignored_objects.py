@@ -16,7 +16,7 @@ from tiny_models import save_clip
 from toolkit.io.images import read_labels, write_png
 from toolkit.io.splats import read_splats
 from toolkit.runs.evaluation.metrics import read_metrics
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.runs.scoring import evaluate
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.synthetic_rooms import RoomSettings, make_room

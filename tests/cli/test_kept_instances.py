@@ -16,7 +16,7 @@ from test_semantic_runs import error_of
 from toolkit.io.object_embeddings import read_objects, write_objects
 from toolkit.io.splats import read_splats
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.saved_objects import load_objects
+from toolkit.runs.maps.saved_objects import load_objects
 from toolkit.tools.cli.main import main
 
 FAST = ["--registration.views", "3", "--registration.pairs", "4"]

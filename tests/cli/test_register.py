@@ -15,7 +15,7 @@ from toolkit.base.geometry import se3
 from toolkit.io.arrays import read_array_tree, write_array_tree
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.runs.settings import load_settings
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy

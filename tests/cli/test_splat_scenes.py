@@ -16,7 +16,7 @@ from test_finished_run_programs import one_line_of_error
 
 from toolkit.io.images import read_rgb
 from toolkit.io.splats import read_splats
-from toolkit.runs.labelled import taxonomy_of_file
+from toolkit.runs.maps.labelled import taxonomy_of_file
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.tools.cli.main import main
 

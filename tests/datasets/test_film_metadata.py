@@ -12,8 +12,8 @@ import pytest
 from film_boxes import box, change, turned_upright
 
 from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.readers.video import FILM_FOCAL_SIGMA, STABILISATION_CROP, TYPICAL_FOCAL
 from toolkit.datasets.registry import open_dataset
-from toolkit.datasets.video import FILM_FOCAL_SIGMA, STABILISATION_CROP, TYPICAL_FOCAL
 from toolkit.io.quicktime import EQUIVALENT_FOCAL_MM, read_metadata
 
 WIDTH, HEIGHT, FRAMES = 64, 36, 5

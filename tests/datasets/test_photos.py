@@ -13,8 +13,8 @@ from toolkit.base.errors import DatasetError
 from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.orientation import oriented, oriented_camera, oriented_distortion
+from toolkit.datasets.readers.video import TYPICAL_FOCAL
 from toolkit.datasets.registry import open_dataset
-from toolkit.datasets.video import TYPICAL_FOCAL
 from toolkit.io.exif import FILM_DIAGONAL_MM, read_photo_info
 
 WIDTH, HEIGHT = 40, 30

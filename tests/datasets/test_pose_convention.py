@@ -21,7 +21,7 @@ from toolkit.datasets.samples import SmallFrames
 from toolkit.io import images
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.runs.execution import run
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.settings import RunSettings
 

@@ -15,7 +15,7 @@ from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_place
 from toolkit.datasets.shutter.estimate import ShutterEstimate
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.tools.cli.main import main
 
 # Values with many digits.

@@ -11,8 +11,8 @@ import pytest
 from toolkit.base.errors import DatasetError
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.readers.video import TYPICAL_FOCAL
 from toolkit.datasets.registry import describe, open_dataset
-from toolkit.datasets.video import TYPICAL_FOCAL
 
 WIDTH, HEIGHT, FRAMES, FPS = 64, 48, 5, 25.0
 INTRINSICS = "fx: 50\nfy: 51\ncx: 31.5\ncy: 23.5\nwidth: 64\nheight: 48\n"

@@ -19,11 +19,11 @@ from toolkit.exports.scene_graph import scene_graph
 from toolkit.exports.selection import select
 from toolkit.io.images import read_rgb
 from toolkit.io.length_names import METRES
+from toolkit.runs.maps.visibility import KeyframeViews
 from toolkit.runs.report_pictures import report_floor_plan
-from toolkit.runs.visibility import KeyframeViews
-from toolkit.semantics.boxes import Ground
-from toolkit.semantics.paths import NoPathError
-from toolkit.semantics.storeys import Floors, Storeys
+from toolkit.semantics.scene_graph.boxes import Ground
+from toolkit.semantics.scene_graph.paths import NoPathError
+from toolkit.semantics.scene_graph.storeys import Floors, Storeys
 from toolkit.tools.viewer.shown_objects import shown_objects
 
 OPTIONS = ObjectGraphOptions(link_m=0.2, min_gaussians=20)

@@ -13,9 +13,9 @@ from two_storeys import AREAS_M2, STOREY_M, VISITED, points_of
 
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
-from toolkit.semantics.boxes import Ground
-from toolkit.semantics.relations import Relation
-from toolkit.semantics.storeys import Floors, Storeys
+from toolkit.semantics.scene_graph.boxes import Ground
+from toolkit.semantics.scene_graph.relations import Relation
+from toolkit.semantics.scene_graph.storeys import Floors, Storeys
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.growing_scene.growing import GrowingScene
 from toolkit.slam.growing_scene.live_relations import LiveRelations

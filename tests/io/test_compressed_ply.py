@@ -9,7 +9,7 @@ import pytest
 
 from toolkit.base.errors import FormatError
 from toolkit.io.splats import read_splats
-from toolkit.runs.splat_clouds import read_cloud
+from toolkit.runs.maps.splat_clouds import read_cloud
 
 _RANGES = [f"{end}_{name}" for end in ("min", "max") for name in "xyz"]
 _RANGES += [f"{end}_scale_{name}" for end in ("min", "max") for name in "xyz"]

@@ -39,7 +39,7 @@ from toolkit.io.splats import (
     read_splats,
     write_splat_ply,
 )
-from toolkit.runs.splat_clouds import read_cloud
+from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS, GaussianCloud
 
 KHR = "KHR_gaussian_splatting"

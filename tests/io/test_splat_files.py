@@ -11,7 +11,7 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.io import splats
 from toolkit.io.splat_scenes import SCENE_SUFFIXES
-from toolkit.runs.splat_clouds import read_cloud
+from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS, PIXEL_FILTER, GaussianCloud
 from toolkit.splatting.rendering import render
 

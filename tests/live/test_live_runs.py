@@ -22,10 +22,10 @@ from toolkit.base.errors import CameraError, DatasetError, RunFolderError
 from toolkit.datasets.registry import open_dataset
 from toolkit.io.images import write_depth_png
 from toolkit.runs import snapshots
-from toolkit.runs.finished import load_run
 from toolkit.runs.live import frame_writer
 from toolkit.runs.live.execution import LiveHooks, run_live
 from toolkit.runs.live.options import LiveOptions
+from toolkit.runs.maps.finished import load_run
 from toolkit.runs.settings import RunSettings
 from toolkit.runs.stopping import StopSignals
 from toolkit.slam.growing_scene.options import GrowingSceneOptions

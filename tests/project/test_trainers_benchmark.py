@@ -15,7 +15,7 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.io.splats import Splats, write_splat_ply
 from toolkit.runs.evaluation.run_metrics import TrackedFrame
-from toolkit.runs.splat_clouds import read_cloud
+from toolkit.runs.maps.splat_clouds import read_cloud
 
 CAMERA = Camera(40.0, 40.0, 16.0, 11.0, 32, 24)
 T_MAP_CAMERA = se3.exp(np.array([0.3, -0.2, 0.1, 0.1, 0.2, -0.3]))

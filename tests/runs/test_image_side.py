@@ -18,8 +18,8 @@ from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.exports.selection import _lowest_layer
 from toolkit.runs import image_side
 from toolkit.runs.building import build_run_labeller
-from toolkit.runs.finished import load_run
 from toolkit.runs.image_side import find_side, up_side
+from toolkit.runs.maps.finished import load_run
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement
 from toolkit.tools.viewer.reading import vertical

@@ -13,7 +13,7 @@ import pytest
 from killed_runs import kept_checkpoints
 from tiny_recording import FRAMES
 
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.tools.cli.main import main
 
 # The frames arrive within 6 ms, in which no machine processes them all.

@@ -15,7 +15,7 @@ from parts_recording import FIRST, SECOND, THIRD, write_two_places
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
 from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.slam.loops.relocalisation import Relocaliser
 from toolkit.slam.tracking.dense import DenseTracker
 from toolkit.slam.tracking.result import Health

@@ -16,7 +16,7 @@ from toolkit.base.errors import DatasetError
 from toolkit.datasets.options import DatasetOptions
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
-from toolkit.runs.splat_clouds import read_cloud
+from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.synthetic_rooms import tiny_room
 from toolkit.tools.cli.main import main
 

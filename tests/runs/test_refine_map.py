@@ -22,7 +22,7 @@ from toolkit.runs.batch.refining.anchors import chosen_pairs, corrected_anchors,
 from toolkit.runs.batch.refining.pipeline import refine_map
 from toolkit.runs.batch.refining.tasks import Extent, InThisProcess, PairResult
 from toolkit.runs.batch.refining.trajectory import moved_frames
-from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.maps.finished import FinishedRun, load_run
 from toolkit.slam.loops.closing.options import ClosingOptions, LoopClosureOptions
 from toolkit.slam.loops.registration.result import failed
 from toolkit.splatting.rendering import render

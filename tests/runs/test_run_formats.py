@@ -18,9 +18,9 @@ from toolkit.base.errors import SettingsError
 from toolkit.base.version import __version__
 from toolkit.io.arrays import read_array_tree
 from toolkit.io.splats import read_splats
-from toolkit.runs import saved_map
-from toolkit.runs.finished import load_run
 from toolkit.runs.formats import RUN_FORMAT
+from toolkit.runs.maps import saved_map
+from toolkit.runs.maps.finished import load_run
 from toolkit.runs.settings import RunSettings, dump_settings, load_stored_settings
 from toolkit.slam.mapping.options import MapperOptions
 from toolkit.tools.cli.main import main

@@ -30,7 +30,7 @@ from toolkit.base.geometry import se3
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.query import LabelledMap, check_labels, connected
-from toolkit.semantics.scene import SceneReader
+from toolkit.semantics.scene_graph.scene import SceneReader
 
 OPTIONS = ObjectOptions()
 

@@ -19,7 +19,7 @@ from fastapi.testclient import TestClient
 from benchmarks.malformed_requests import malformed_requests
 from toolkit.base.geometry import se3
 from toolkit.io.trajectories import read_tum
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.splatting.rendering import backend, render_surface
 from toolkit.tools.cli.main import main
 from toolkit.tools.serving.admission import Computations

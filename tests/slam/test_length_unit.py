@@ -22,7 +22,7 @@ from toolkit.io import images
 from toolkit.io.trajectories import write_tum
 from toolkit.runs.building import build_slam
 from toolkit.runs.execution import run
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.length_unit import LengthUnit
 from toolkit.slam.result import FrameResult

@@ -14,7 +14,7 @@ from painted_scenes import two_panels
 from toolkit.base.errors import RunFolderError
 from toolkit.io.addresses import bind
 from toolkit.io.splats import read_splats
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.tools.viewer.live import LiveRun, follow
 from toolkit.tools.viewer.options import ShownContent
 from toolkit.tools.viewer.server import MapServer

@@ -15,7 +15,7 @@ from tiny_recording import FRAMES
 
 from toolkit.base.errors import SettingsError
 from toolkit.datasets.registry import open_dataset
-from toolkit.runs.finished import load_run
+from toolkit.runs.maps.finished import load_run
 from toolkit.tools.cli.main import main
 
 WORDS = ["--mapping.first-iterations", "4", "--mapping.final-iterations", "1"]

@@ -18,7 +18,7 @@ import pytest
 import torch
 
 from toolkit.io.splats import write_splat_ply
-from toolkit.runs.splat_clouds import read_cloud
+from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.tools.cli.main import main
 
 

@@ -10,7 +10,6 @@ from typing import Literal
 from toolkit.base.errors import DatasetError, SettingsError
 from toolkit.base.frame import Frame
 from toolkit.base.geometry.trajectory import Trajectory
-from toolkit.datasets import video
 from toolkit.datasets.agreement.refine import with_intrinsics, with_refined_intrinsics
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.carrier import without_carrier
@@ -19,6 +18,7 @@ from toolkit.datasets.depth_samples import with_usable_depth
 from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.pose_convention import judge_convention
+from toolkit.datasets.readers import video
 from toolkit.datasets.samples import SmallFrames, evenly_spaced
 from toolkit.datasets.shutter.recording import estimate_readout, with_readout
 from toolkit.datasets.times import is_impossible, unit_fault

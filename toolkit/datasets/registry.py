@@ -10,21 +10,6 @@ from pathlib import Path
 from typing import cast
 
 from toolkit.base.errors import DatasetError
-from toolkit.datasets import (
-    bag,
-    colmap,
-    folder,
-    nerfstudio,
-    photos,
-    polycam,
-    record3d,
-    replica,
-    scannet,
-    seven_scenes,
-    stray_scanner,
-    tum,
-    video,
-)
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.datasets.findings import camera_faults, pose_faults
@@ -38,6 +23,21 @@ from toolkit.datasets.preparation import (
     with_estimates,
     with_fov,
     without_depth,
+)
+from toolkit.datasets.readers import (
+    bag,
+    colmap,
+    folder,
+    nerfstudio,
+    photos,
+    polycam,
+    record3d,
+    replica,
+    scannet,
+    seven_scenes,
+    stray_scanner,
+    tum,
+    video,
 )
 
 _log = logging.getLogger(__name__)

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from toolkit.base.errors import SettingsError
 from toolkit.base.geometry import se3
 from toolkit.exports.mapped_scene import MappedScene
-from toolkit.runs.finished import FinishedRun
-from toolkit.runs.visibility import KeyframeViews
-from toolkit.semantics.changes import ComparedObject, MapChanges, Seen, compare_objects
+from toolkit.runs.maps.finished import FinishedRun
+from toolkit.runs.maps.visibility import KeyframeViews
+from toolkit.semantics.scene_graph.changes import ComparedObject, MapChanges, Seen, compare_objects
 
 
 def changes_between(

@@ -14,20 +14,20 @@ from toolkit.exports.building import Building, find_building
 from toolkit.exports.floors import required_floors
 from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
-from toolkit.runs.visibility import KeyframeViews, keyframe_views
-from toolkit.semantics.boxes import Ground
+from toolkit.runs.maps.visibility import KeyframeViews, keyframe_views
 from toolkit.semantics.colour_names import colour_name
 from toolkit.semantics.options import ObjectOptions
-from toolkit.semantics.paths import FreePath, NoPathError, PathFinder, Place
 from toolkit.semantics.query import (
     FLOOR_NAMES,
     LabelledMap,
     SceneObject,
 )
-from toolkit.semantics.relations import Relation, RelationOptions, relations
-from toolkit.semantics.roles import Roles
-from toolkit.semantics.rooms import RoomOptions
-from toolkit.semantics.scene import SceneReader
+from toolkit.semantics.scene_graph.boxes import Ground
+from toolkit.semantics.scene_graph.paths import FreePath, NoPathError, PathFinder, Place
+from toolkit.semantics.scene_graph.relations import Relation, RelationOptions, relations
+from toolkit.semantics.scene_graph.roles import Roles
+from toolkit.semantics.scene_graph.rooms import RoomOptions
+from toolkit.semantics.scene_graph.scene import SceneReader
 
 # A keyframe sees an object if it sees this share of its points and this number of them.
 _SEEN_SHARE, _SEEN_POINTS, _SAMPLES = 0.2, 3, 64

@@ -17,7 +17,8 @@ from toolkit.exports.options import GridOptions, ObjectGraphOptions, PlanOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.images import write_png
 from toolkit.io.occupancy import OccupancyGrid
-from toolkit.semantics.floor_plan import (
+from toolkit.semantics.palette import Palette
+from toolkit.semantics.scene_graph.floor_plan import (
     PlanDrawing,
     PlanEdge,
     PlanNode,
@@ -25,8 +26,7 @@ from toolkit.semantics.floor_plan import (
     floor_plans,
     total_areas,
 )
-from toolkit.semantics.palette import Palette
-from toolkit.semantics.paths import FreePath
+from toolkit.semantics.scene_graph.paths import FreePath
 
 
 @dataclass(frozen=True)

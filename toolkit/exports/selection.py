@@ -15,11 +15,11 @@ from toolkit.base.errors import RunFolderError, ToolkitError
 from toolkit.base.geometry.image_sides import mean_up
 from toolkit.io.splat_labels import INSTANCE, SplatLabels, instances_in
 from toolkit.io.splats import read_splats
-from toolkit.runs.finished import FinishedRun, load_run
-from toolkit.runs.labelled import load_labelled_run
-from toolkit.semantics.boxes import Ground
+from toolkit.runs.maps.finished import FinishedRun, load_run
+from toolkit.runs.maps.labelled import load_labelled_run
 from toolkit.semantics.query import FLOOR_NAMES, LabelledMap
-from toolkit.semantics.storeys import Floors, Storeys
+from toolkit.semantics.scene_graph.boxes import Ground
+from toolkit.semantics.scene_graph.storeys import Floors, Storeys
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 

@@ -27,7 +27,7 @@ from toolkit.io.posed_images import (
 )
 from toolkit.io.visualisation import RgbImage, colour_image
 from toolkit.runs.evaluation.run_metrics import TrackedFrame
-from toolkit.runs.finished import FinishedRun
+from toolkit.runs.maps.finished import FinishedRun
 from toolkit.splatting.rendering import backend, render_surface
 
 ImagePolicy = Literal["copy", "render", "reference"]

@@ -1,8 +1,8 @@
 """Runs: from settings and a recording to a folder with trajectory, map and figures.
 
-Knows: the run folder and its versions, checkpoints, resuming, reports, finished and merged runs;
-`evaluation` has the metrics, `live` cameras, `batch` many runs and Ray.
+Knows: the run folder and its versions, checkpoints, resuming, reports; `maps` of finished runs,
+`evaluation` (metrics), `live` (cameras), `batch` (many runs, Ray).
 In: settings, a dataset or a camera. Out: a run folder, or what is read from one.
-For others: `building.build_slam`, `execution.run`, `finished.load_run`, `folder.RunFolder`,
+For others: `building.build_slam`, `execution.run`, `maps.finished.load_run`, `folder.RunFolder`,
 `settings.RunSettings`, `observers`.
 """

@@ -25,15 +25,15 @@ from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.expected_time import ExpectedTime
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.image_side import FoundSide, find_side
-from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import locked
+from toolkit.runs.maps.locations import with_absolute_paths
+from toolkit.runs.maps.saved_map import SavedMap, load_saved_map, open_saved_map
 from toolkit.runs.modes import RunContext, RunMode, mode_of
 from toolkit.runs.observers import Observers, Progress, ProgressObserver, no_progress
 from toolkit.runs.outcome import RunRecord
 from toolkit.runs.processed_frames import Identity, check_identity, identity_of
 from toolkit.runs.recordings import open_recording
 from toolkit.runs.results import write_motion_alone, write_results
-from toolkit.runs.saved_map import SavedMap, load_saved_map, open_saved_map
 from toolkit.runs.scoring import load_lpips
 from toolkit.runs.session import Session, logged_to
 from toolkit.runs.settings import RunSettings, dump_settings

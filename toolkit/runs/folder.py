@@ -39,8 +39,8 @@ from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.io.user_files import read_text
 from toolkit.runs.formats import counted, upgraded_decoder
 from toolkit.runs.lock import LOCK, is_unused
+from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.runs.settings import other_keys
-from toolkit.runs.splat_clouds import read_cloud
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from toolkit.base.geometry import se3
 from toolkit.io.visualisation import RgbImage, colour_image
-from toolkit.runs.finished import FinishedRun
-from toolkit.runs.visibility import keyframe_views
+from toolkit.runs.maps.finished import FinishedRun
+from toolkit.runs.maps.visibility import keyframe_views
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.rendering import RenderOptions, backend, render_surface
 

@@ -19,7 +19,7 @@ from toolkit.io.arrays import JoinedArrays, arrays_below, read_array_tree
 from toolkit.io.guarded.documents import read_json
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
-from toolkit.runs.map_files import splat_labels
+from toolkit.runs.maps.map_files import splat_labels
 from toolkit.runs.settings import load_stored_settings
 from toolkit.runs.snapshots import watch
 from toolkit.semantics.factory import build_code

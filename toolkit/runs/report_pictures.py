@@ -22,8 +22,10 @@ from toolkit.runs.evaluation.submap_graph import (
     observed_from,
     submap_links,
 )
-from toolkit.runs.splat_clouds import cloud_of
-from toolkit.semantics.floor_plan import (
+from toolkit.runs.maps.splat_clouds import cloud_of
+from toolkit.semantics.palette import Palette
+from toolkit.semantics.query import LabelledMap
+from toolkit.semantics.scene_graph.floor_plan import (
     PlanDrawing,
     PlanEdge,
     PlanNode,
@@ -31,8 +33,6 @@ from toolkit.semantics.floor_plan import (
     floor_plans,
     total_areas,
 )
-from toolkit.semantics.palette import Palette
-from toolkit.semantics.query import LabelledMap
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.loops.log import read_loop_log
 from toolkit.slam.result import SlamResult, SubmapSummary

@@ -31,8 +31,9 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.formats import RUN_FORMAT
 from toolkit.runs.frame_records import frame_records
 from toolkit.runs.image_side import up_side
-from toolkit.runs.instance_files import write_instances
-from toolkit.runs.map_files import labelled_parts
+from toolkit.runs.maps.instance_files import write_instances
+from toolkit.runs.maps.map_files import labelled_parts
+from toolkit.runs.maps.separate_parts import separate_part_metrics, write_separate_parts
 from toolkit.runs.modes import mode_of
 from toolkit.runs.outcome import RunOutcome, RunRecord
 from toolkit.runs.recording_samples import recording_samples
@@ -43,10 +44,9 @@ from toolkit.runs.scoring import (
     evaluate_scene,
     semantic_evaluation,
 )
-from toolkit.runs.separate_parts import separate_part_metrics, write_separate_parts
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.query import FLOOR_NAMES
-from toolkit.semantics.storey_rooms import graph_frame
+from toolkit.semantics.scene_graph.storey_rooms import graph_frame
 from toolkit.slam.mapping.consensus import LabelAgreement
 from toolkit.slam.result import SlamResult
 from toolkit.splatting.gaussians.scene import GaussianScene, HalfPrecisionScene

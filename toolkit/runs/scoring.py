@@ -27,10 +27,10 @@ from toolkit.runs.evaluation.run_metrics import (
     open_unseen,
 )
 from toolkit.runs.evaluation.semantic_views import SemanticEvaluation
-from toolkit.runs.finished import FinishedRun
-from toolkit.runs.meshing import MeshOptions, surface_mesh
+from toolkit.runs.maps.finished import FinishedRun
+from toolkit.runs.maps.meshing import MeshOptions, surface_mesh
+from toolkit.runs.maps.separate_parts import separate_part_metrics
 from toolkit.runs.modes import mode_of
-from toolkit.runs.separate_parts import separate_part_metrics
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.frame_preparation import FrameSources

@@ -15,9 +15,15 @@ from numpy.typing import NDArray
 from toolkit.base.errors import FormatError
 from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.splat_labels import SplatLabels
-from toolkit.semantics.boxes import Ground, OrientedBox, oriented_box
 from toolkit.semantics.options import ObjectOptions
-from toolkit.semantics.storeys import MIN_STOREY_M, Floors, Storeys, find_storeys, lowest_floor
+from toolkit.semantics.scene_graph.boxes import Ground, OrientedBox, oriented_box
+from toolkit.semantics.scene_graph.storeys import (
+    MIN_STOREY_M,
+    Floors,
+    Storeys,
+    find_storeys,
+    lowest_floor,
+)
 from toolkit.semantics.taxonomy import VOID, VOID_NAME, Node, Taxonomy
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from toolkit.base.errors import SettingsError
 from toolkit.base.options import NonNegativeInt, PositiveFloat, PositiveInt, as_plain, validated
 from toolkit.datasets.options import DatasetOptions
 from toolkit.io.guarded.documents import read_yaml
-from toolkit.runs.locations import with_absolute_paths
+from toolkit.runs.maps.locations import with_absolute_paths
 from toolkit.runs.settings import PresetName, RunSettings, load_settings, overridden
 
 # Names of sequences and settings become names of folders.

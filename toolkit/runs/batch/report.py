@@ -12,8 +12,8 @@ import jinja2
 from toolkit.base.errors import ToolkitError
 from toolkit.io.atomic import write_text
 from toolkit.runs.batch.table import RunRow, table_cells, table_csv, table_markdown
-from toolkit.runs.comparing import compared_run
 from toolkit.runs.evaluation.comparison import render_comparison
+from toolkit.runs.maps.comparing import compared_run
 
 _log = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ from typing import Literal
 from toolkit.io.guarded.documents import read_json
 from toolkit.runs.batch.plan import PlannedRun
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.locations import with_absolute_paths
 from toolkit.runs.lock import LOCK
+from toolkit.runs.maps.locations import with_absolute_paths
 from toolkit.runs.settings import dump_settings
 
 State = Literal["new", "unfinished", "finished", "conflict"]

@@ -30,13 +30,13 @@ from toolkit.runs.live.frame_writer import FrameWriter
 from toolkit.runs.live.options import LiveOptions
 from toolkit.runs.live.summary import LiveSummary
 from toolkit.runs.live.system import LiveSlam
-from toolkit.runs.locations import absolute, with_absolute_paths
 from toolkit.runs.lock import locked
+from toolkit.runs.maps.locations import absolute, with_absolute_paths
+from toolkit.runs.maps.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.modes import mode_of
 from toolkit.runs.observers import Observers, Progress, ProgressObserver, no_progress
 from toolkit.runs.outcome import RunRecord
 from toolkit.runs.results import write_results
-from toolkit.runs.saved_map import load_saved_map, open_saved_map
 from toolkit.runs.scoring import load_lpips
 from toolkit.runs.session import Session
 from toolkit.runs.settings import RunSettings, dump_settings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.semantics.storeys import Floors, find_storeys, lowest_floor
+from toolkit.semantics.scene_graph.storeys import Floors, find_storeys, lowest_floor
 
 Array = NDArray[np.float64]
 

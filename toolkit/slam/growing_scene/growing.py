@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from toolkit.base.keyframe import Keyframe
 from toolkit.io.arrays import arrays_below
-from toolkit.semantics.bodies import Body
-from toolkit.semantics.boxes import Ground
 from toolkit.semantics.colour_names import colour_table
-from toolkit.semantics.relations import RelationOptions, Role
-from toolkit.semantics.roles import Roles
-from toolkit.semantics.storeys import Floors, Storeys
+from toolkit.semantics.scene_graph.bodies import Body
+from toolkit.semantics.scene_graph.boxes import Ground
+from toolkit.semantics.scene_graph.relations import RelationOptions, Role
+from toolkit.semantics.scene_graph.roles import Roles
+from toolkit.semantics.scene_graph.storeys import Floors, Storeys
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.growing_scene.floors import fitted_floors, same_floors
 from toolkit.slam.growing_scene.live_relations import LiveRelations

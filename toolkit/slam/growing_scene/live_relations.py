@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.semantics.bodies import Body
-from toolkit.semantics.boxes import Ground
-from toolkit.semantics.facing import front_of
-from toolkit.semantics.relations import (
+from toolkit.semantics.scene_graph.bodies import Body
+from toolkit.semantics.scene_graph.boxes import Ground
+from toolkit.semantics.scene_graph.facing import front_of
+from toolkit.semantics.scene_graph.relations import (
     MAX_FACED_M,
     Groups,
     Relation,
@@ -23,7 +23,7 @@ from toolkit.semantics.relations import (
     support,
     wall_behind,
 )
-from toolkit.semantics.storeys import Floors, Storeys
+from toolkit.semantics.scene_graph.storeys import Floors, Storeys
 
 Array = NDArray[np.float64]
 

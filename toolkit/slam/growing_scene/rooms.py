@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from toolkit.base.keyframe import Keyframe
-from toolkit.semantics.rooms import RoomMap, closed, find_rooms, free_floor
-from toolkit.semantics.storey_rooms import numbered_rooms
-from toolkit.semantics.storeys import Floors
+from toolkit.semantics.scene_graph.rooms import RoomMap, closed, find_rooms, free_floor
+from toolkit.semantics.scene_graph.storey_rooms import numbered_rooms
+from toolkit.semantics.scene_graph.storeys import Floors
 
 Array = NDArray[np.float64]
 

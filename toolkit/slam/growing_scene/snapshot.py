@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.semantics.boxes import Ground, oriented_box
-from toolkit.semantics.relations import Relation, Role
-from toolkit.semantics.scene import box_values
-from toolkit.semantics.storey_rooms import add_storeys, graph_edge
-from toolkit.semantics.storeys import Floors, StoreyKind, find_storeys
+from toolkit.semantics.scene_graph.boxes import Ground, oriented_box
+from toolkit.semantics.scene_graph.relations import Relation, Role
+from toolkit.semantics.scene_graph.scene import box_values
+from toolkit.semantics.scene_graph.storey_rooms import add_storeys, graph_edge
+from toolkit.semantics.scene_graph.storeys import Floors, StoreyKind, find_storeys
 from toolkit.semantics.taxonomy import Node, Taxonomy
 from toolkit.slam.growing_scene.objects import GrowingObject
 from toolkit.slam.growing_scene.rooms import GrowingBuilding, ViewFan

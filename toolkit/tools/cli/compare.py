@@ -14,10 +14,10 @@ from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
 from toolkit.io.atomic import utf8, write_text
-from toolkit.runs.comparing import compared_run
 from toolkit.runs.evaluation.comparison import render_comparison, setting_rows
-from toolkit.runs.registering import relative_pose
-from toolkit.semantics.changes import MapChanges
+from toolkit.runs.maps.comparing import compared_run
+from toolkit.runs.maps.registering import relative_pose
+from toolkit.semantics.scene_graph.changes import MapChanges
 from toolkit.tools.cli.programs import CompareOptions
 
 

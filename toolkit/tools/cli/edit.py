@@ -13,8 +13,8 @@ from toolkit.io.images import write_png
 from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.visualisation import Panel, colour_image, strip
-from toolkit.runs.editing import EditedMap, EditedView, Edits, Paint, Shift, edit, view_edit
-from toolkit.runs.labelled import TAXONOMY, LabelledRun, load_labelled_run
+from toolkit.runs.maps.editing import EditedMap, EditedView, Edits, Paint, Shift, edit, view_edit
+from toolkit.runs.maps.labelled import TAXONOMY, LabelledRun, load_labelled_run
 from toolkit.runs.new_folder import NewFolder
 from toolkit.tools.cli.map_programs import EditOptions
 

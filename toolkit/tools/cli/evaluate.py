@@ -20,7 +20,7 @@ from toolkit.runs.evaluation.metrics import (
     write_metrics,
 )
 from toolkit.runs.evaluation.options import EvaluationOptions
-from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.maps.finished import FinishedRun, load_run
 from toolkit.runs.scoring import evaluate
 from toolkit.tools.cli.programs import EvaluateOptions
 

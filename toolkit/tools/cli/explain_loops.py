@@ -29,7 +29,7 @@ from toolkit.runs.evaluation.loop_gallery import results_of
 from toolkit.runs.evaluation.loops import LoopTruthOptions
 from toolkit.runs.evaluation.missed_loops import MissedLoop, missed_loops
 from toolkit.runs.evaluation.run_loops import loop_views
-from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.maps.finished import FinishedRun, load_run
 from toolkit.slam.loops.log import read_loop_log
 from toolkit.tools.cli.programs import ExplainLoopsOptions
 

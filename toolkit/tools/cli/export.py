@@ -23,8 +23,8 @@ from toolkit.io.splat_placement import origin_comment, origin_in
 from toolkit.io.splat_scenes import SCENE_SUFFIXES
 from toolkit.io.splats import export_splats, is_splat_file, read_splats
 from toolkit.io.trajectories import write_tum
-from toolkit.runs.labelled import taxonomy_of_file
-from toolkit.runs.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
+from toolkit.runs.maps.labelled import taxonomy_of_file
+from toolkit.runs.maps.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
 from toolkit.runs.new_folder import NewFolder
 from toolkit.tools.cli.map_programs import ExportOptions
 from toolkit.tools.viewer.html import link_from_report, write_page

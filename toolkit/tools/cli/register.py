@@ -16,12 +16,12 @@ from toolkit.base.geometry import se3
 from toolkit.io.atomic import write_bytes, write_text
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
-from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.instance_files import write_instances
-from toolkit.runs.merged_map import MergedMap, label_conflict, merge
+from toolkit.runs.maps.finished import FinishedRun, load_run
+from toolkit.runs.maps.instance_files import write_instances
+from toolkit.runs.maps.merged_map import MergedMap, label_conflict, merge
+from toolkit.runs.maps.registering import register_runs
 from toolkit.runs.new_folder import NewFolder
-from toolkit.runs.registering import register_runs
 from toolkit.slam.loops.two_maps import (
     MapRegistration,
     SelectedRegistration,

@@ -34,8 +34,8 @@ from toolkit.io.visualisation import (
     with_depth_scale,
     with_legend,
 )
-from toolkit.runs.finished import FinishedRun, load_run
-from toolkit.runs.splat_clouds import cloud_of
+from toolkit.runs.maps.finished import FinishedRun, load_run
+from toolkit.runs.maps.splat_clouds import cloud_of
 from toolkit.semantics.palette import Palette
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.rendering import RenderOptions, backend, render_surface

@@ -13,7 +13,7 @@ from toolkit.base.errors import ToolkitError
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
 from toolkit.io.images import small_image
-from toolkit.runs.finished import FinishedRun
+from toolkit.runs.maps.finished import FinishedRun
 from toolkit.slam.submaps.submap import Submap
 from toolkit.tools.viewer.options import ShownContent
 from toolkit.tools.viewer.scene import ShownKeyframe, ShownSplats

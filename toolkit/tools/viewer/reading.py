@@ -16,9 +16,9 @@ from toolkit.io.length_names import LengthNames
 from toolkit.io.splats import Splats, is_splat_file, read_splats
 from toolkit.runs.evaluation.frame_states import summary_lines
 from toolkit.runs.evaluation.run_loops import accepted_edges
-from toolkit.runs.finished import FinishedRun
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.labelled import taxonomy_of_file
+from toolkit.runs.maps.finished import FinishedRun
+from toolkit.runs.maps.labelled import taxonomy_of_file
 from toolkit.slam.loops.log import read_loop_log
 from toolkit.tools.viewer.keyframes import shown_keyframes
 from toolkit.tools.viewer.options import ShownContent

@@ -18,9 +18,9 @@ from toolkit.io.arrays import arrays_below
 from toolkit.runs.batch.refining.stored_map import StoredMap
 from toolkit.runs.batch.refining.tasks import Work
 from toolkit.runs.folder import MapPart, RunFolder
-from toolkit.runs.instance_files import write_instances
-from toolkit.runs.map_files import splat_labels
-from toolkit.runs.saved_objects import load_objects
+from toolkit.runs.maps.instance_files import write_instances
+from toolkit.runs.maps.map_files import splat_labels
+from toolkit.runs.maps.saved_objects import load_objects
 from toolkit.slam.instances.result import InstanceMap
 from toolkit.slam.refinement.fusion import FusedMap, fuse_submaps, single_submap
 

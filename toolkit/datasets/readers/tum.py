@@ -19,7 +19,7 @@ from toolkit.datasets.pairing import (
     listed,
     unpaired,
 )
-from toolkit.datasets.tum_cameras import camera_of
+from toolkit.datasets.readers.tum_cameras import camera_of
 from toolkit.io.trajectories import read_tum_lines, text_lines
 
 # Maximum time difference of associated images, as in the benchmark's own tool.

@@ -13,7 +13,7 @@ from toolkit.io.object_embeddings import ObjectEmbeddings, read_objects
 from toolkit.io.splat_labels import instances_in
 from toolkit.io.splats import read_splats
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.instance_files import UNNAMED
+from toolkit.runs.maps.instance_files import UNNAMED
 from toolkit.semantics.embedding_fusion import FusedEmbedding
 from toolkit.slam.instances.result import MapObject
 from toolkit.slam.instances.saved import SavedObjects

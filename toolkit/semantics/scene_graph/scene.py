@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.semantics.boxes import Ground, OrientedBox, floor_area_m2, oriented_box
 from toolkit.semantics.lexicon.matching import LIST_CLASSES, match
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.query import (
@@ -20,6 +19,7 @@ from toolkit.semantics.query import (
     LabelledMap,
     SceneObject,
 )
+from toolkit.semantics.scene_graph.boxes import Ground, OrientedBox, floor_area_m2, oriented_box
 from toolkit.semantics.taxonomy import VOID
 
 WALL_NAMES = ("wall",)

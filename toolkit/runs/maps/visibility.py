@@ -11,7 +11,7 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.geometry.depth_lookup import depths_at
 from toolkit.datasets.resize import ImageGrid
-from toolkit.runs.finished import FinishedRun
+from toolkit.runs.maps.finished import FinishedRun
 from toolkit.splatting.rendering import backend, render_surface
 
 Array = NDArray[np.float64]

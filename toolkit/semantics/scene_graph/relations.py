@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.semantics.bodies import Body
-from toolkit.semantics.boxes import Ground
-from toolkit.semantics.facing import front_of
+from toolkit.semantics.scene_graph.bodies import Body
+from toolkit.semantics.scene_graph.boxes import Ground
+from toolkit.semantics.scene_graph.facing import front_of
 
 Array = NDArray[np.float64]
 RelationKind = Literal["on", "in", "next to", "above", "facing"]

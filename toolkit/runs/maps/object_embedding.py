@@ -20,8 +20,8 @@ from toolkit.datasets.base import RecordedDataset
 from toolkit.io.object_embeddings import ObjectEmbeddings
 from toolkit.io.visualisation import colour_image
 from toolkit.runs.evaluation.run_metrics import TrackedFrame
-from toolkit.runs.finished import FinishedRun
-from toolkit.runs.labelled import LabelledRun
+from toolkit.runs.maps.finished import FinishedRun
+from toolkit.runs.maps.labelled import LabelledRun
 from toolkit.semantics.embedding_fusion import FusedEmbedding, fuse_views, view_weights
 from toolkit.semantics.query import SceneObject
 from toolkit.semantics.taxonomy import VOID

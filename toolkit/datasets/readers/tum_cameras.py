@@ -8,7 +8,7 @@ from pathlib import Path
 
 from toolkit.base.errors import DatasetError, SettingsError
 from toolkit.base.geometry.camera import Camera
-from toolkit.datasets.folder import read_intrinsics
+from toolkit.datasets.readers.folder import read_intrinsics
 from toolkit.io.images import read_rgb
 from toolkit.io.trajectories import number_lines
 

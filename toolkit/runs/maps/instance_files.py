@@ -8,13 +8,13 @@ from toolkit.io.object_embeddings import ObjectEmbeddings, write_objects
 from toolkit.io.splat_labels import SplatLabels, instances_in
 from toolkit.io.splats import Splats, read_splats
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.map_files import object_values
-from toolkit.runs.object_embedding import collected
-from toolkit.runs.splat_clouds import cloud_of
-from toolkit.semantics.boxes import oriented_box
+from toolkit.runs.maps.map_files import object_values
+from toolkit.runs.maps.object_embedding import collected
+from toolkit.runs.maps.splat_clouds import cloud_of
 from toolkit.semantics.embedding_fusion import FusedEmbedding
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.query import LabelledMap
+from toolkit.semantics.scene_graph.boxes import oriented_box
 from toolkit.semantics.taxonomy import VOID, Taxonomy
 from toolkit.slam.instances.result import InstanceMap
 

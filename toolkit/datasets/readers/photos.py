@@ -10,10 +10,10 @@ import numpy as np
 from toolkit.base.errors import DatasetError
 from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import FrameFiles, Recording
-from toolkit.datasets.folder import DEFAULT_FPS, Intrinsics, read_intrinsics
 from toolkit.datasets.orientation import oriented_camera, oriented_distortion, swaps_sides
 from toolkit.datasets.pairing import listed, natural_key
-from toolkit.datasets.video import FOCAL_SIGMA, camera_with_focal, typical_camera
+from toolkit.datasets.readers.folder import DEFAULT_FPS, Intrinsics, read_intrinsics
+from toolkit.datasets.readers.video import FOCAL_SIGMA, camera_with_focal, typical_camera
 from toolkit.io.exif import PhotoInfo, read_photo_info
 from toolkit.io.trajectories import text_lines
 from toolkit.io.user_files import visible

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from toolkit.io.length_names import METRES, LengthNames
 from toolkit.io.visualisation import LegendEntry, RgbImage, with_legend
-from toolkit.semantics.boxes import Ground, floor_area_m2, oriented_box
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.query import CEILING_NAMES, LabelledMap
-from toolkit.semantics.storeys import Floors
+from toolkit.semantics.scene_graph.boxes import Ground, floor_area_m2, oriented_box
+from toolkit.semantics.scene_graph.storeys import Floors
 from toolkit.semantics.taxonomy import VOID
 
 Array = NDArray[np.float64]

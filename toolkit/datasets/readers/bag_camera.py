@@ -8,7 +8,7 @@ import numpy as np
 
 from toolkit.base.errors import DatasetError, SettingsError
 from toolkit.base.geometry.camera import Camera
-from toolkit.datasets.bag_topics import ImageTopic
+from toolkit.datasets.readers.bag_topics import ImageTopic
 
 _RADIAL = ("plumb_bob", "rational_polynomial", "", "none", "brown conrady", "pinhole", "radtan")
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt4", "kannala brandt4")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from toolkit.base.errors import FormatError, RunFolderError, ToolkitError
 from toolkit.io.label_files import label_file_of
 from toolkit.io.splats import Splats, read_splats
-from toolkit.runs.finished import FinishedRun, load_run
+from toolkit.runs.maps.finished import FinishedRun, load_run
 from toolkit.semantics.lexicon.matching import Match, selected_nodes
 from toolkit.semantics.query import LabelledMap, check_labels
 from toolkit.semantics.taxonomy import VOID_NAME, Taxonomy

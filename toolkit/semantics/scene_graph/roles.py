@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from toolkit.base.errors import FormatError
 from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES
-from toolkit.semantics.relations import Role
-from toolkit.semantics.scene import WALL_NAMES
-from toolkit.semantics.storeys import StoreyKind
+from toolkit.semantics.scene_graph.relations import Role
+from toolkit.semantics.scene_graph.scene import WALL_NAMES
+from toolkit.semantics.scene_graph.storeys import StoreyKind
 from toolkit.semantics.taxonomy import Taxonomy
 
 # Classes that enclose rooms. A door that is open leaves its frame, a closed one separates.

@@ -9,7 +9,7 @@ from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.runs.evaluation.metrics import Metrics
 from toolkit.runs.evaluation.trajectory import AlignmentKind, absolute_trajectory_error
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.map_files import labelled_parts
+from toolkit.runs.maps.map_files import labelled_parts
 from toolkit.runs.settings import RunSettings
 from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import SlamResult

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from toolkit.io.occupancy import OccupancyGrid
-from toolkit.semantics.boxes import Ground
-from toolkit.semantics.paths import free_run_m
+from toolkit.semantics.scene_graph.boxes import Ground
+from toolkit.semantics.scene_graph.paths import free_run_m
 
 Array = NDArray[np.float64]
 

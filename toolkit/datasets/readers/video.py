@@ -9,7 +9,7 @@ import numpy as np
 from toolkit.base.errors import DatasetError
 from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import FrameFiles, Recording
-from toolkit.datasets.folder import read_intrinsics
+from toolkit.datasets.readers.folder import read_intrinsics
 from toolkit.io.exif import focal_of_equivalent
 from toolkit.io.quicktime import EQUIVALENT_FOCAL_MM, read_metadata
 from toolkit.io.video import VideoFile

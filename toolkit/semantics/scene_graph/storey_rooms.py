@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.semantics.rooms import Door, RoomMap
-from toolkit.semantics.storeys import Floors, Storeys
+from toolkit.semantics.scene_graph.rooms import Door, RoomMap
+from toolkit.semantics.scene_graph.storeys import Floors, Storeys
 
 Array = NDArray[np.float64]
 

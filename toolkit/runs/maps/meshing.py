@@ -15,7 +15,7 @@ from tqdm import tqdm
 from toolkit.base.errors import SettingsError, ToolkitError
 from toolkit.base.geometry import se3
 from toolkit.io.meshes import PosedDepth, TriangleMesh, fuse_views, write_points
-from toolkit.runs.finished import FinishedRun
+from toolkit.runs.maps.finished import FinishedRun
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.rendering import RenderOptions, backend, render_surface
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.base.geometry.voxels import voxel_keys, voxels_of
-from toolkit.semantics.boxes import Ground
+from toolkit.semantics.scene_graph.boxes import Ground
 
 Array = NDArray[np.float64]
 # Ceilings are structures.

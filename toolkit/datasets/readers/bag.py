@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.base.errors import DatasetError
-from toolkit.datasets.bag_camera import BagCamera, camera_of, differs
-from toolkit.datasets.bag_topics import ChosenTopics, ImageTopic, choose_topics
 from toolkit.datasets.base import FrameFiles, Recording
-from toolkit.datasets.folder import read_intrinsics
 from toolkit.datasets.options import BagTopics
 from toolkit.datasets.pairing import associate
-from toolkit.datasets.video import typical_camera
+from toolkit.datasets.readers.bag_camera import BagCamera, camera_of, differs
+from toolkit.datasets.readers.bag_topics import ChosenTopics, ImageTopic, choose_topics
+from toolkit.datasets.readers.folder import read_intrinsics
+from toolkit.datasets.readers.video import typical_camera
 from toolkit.io import ros_images
 from toolkit.io.bags import BagFile, MessagePosition
 

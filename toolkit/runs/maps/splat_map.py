@@ -12,8 +12,8 @@ from toolkit.base.frame import Frame
 from toolkit.base.keyframe import evenly_spaced
 from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.faults import fault_tolerant
+from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.runs.settings import RunSettings
-from toolkit.runs.splat_clouds import read_cloud
 from toolkit.semantics.features.factory import build_describer
 from toolkit.slam.loops.splat_maps.metric_map import MapParts, MetricMap, metric_map
 from toolkit.slam.tracking.depth_filter import DepthFilter

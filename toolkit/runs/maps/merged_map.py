@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.io.splat_labels import INSTANCE, SplatLabels
-from toolkit.runs.finished import FinishedRun
-from toolkit.runs.map_files import splat_labels
-from toolkit.runs.saved_objects import load_objects
+from toolkit.runs.maps.finished import FinishedRun
+from toolkit.runs.maps.map_files import splat_labels
+from toolkit.runs.maps.saved_objects import load_objects
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.instances.result import InstanceMap

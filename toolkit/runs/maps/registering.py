@@ -12,8 +12,8 @@ from tqdm import tqdm
 from toolkit.base.errors import FormatError, SettingsError, ToolkitError
 from toolkit.base.geometry import se3
 from toolkit.io.guarded.documents import read_json
-from toolkit.runs.finished import FinishedRun
-from toolkit.runs.merged_map import shared_semantics
+from toolkit.runs.maps.finished import FinishedRun
+from toolkit.runs.maps.merged_map import shared_semantics
 from toolkit.semantics.features.factory import build_differentiable_describer
 from toolkit.slam.loops.registration.factory import build_registrar, needs_describer
 from toolkit.slam.loops.registration.options import RegistrationOptions

@@ -14,12 +14,12 @@ from toolkit.base.errors import SettingsError
 from toolkit.datasets.base import Dataset
 from toolkit.io.splats import is_splat_file
 from toolkit.runs.building import build_run_labeller
-from toolkit.runs.finished import FinishedRun, load_run
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.maps.finished import FinishedRun, load_run
+from toolkit.runs.maps.saved_objects import load_objects
+from toolkit.runs.maps.splat_map import open_splat_map, summary
 from toolkit.runs.modes import mode_of
-from toolkit.runs.saved_objects import load_objects
 from toolkit.runs.settings import RunSettings
-from toolkit.runs.splat_map import open_splat_map, summary
 from toolkit.slam.instances.saved import SavedObjects
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.submaps.submap import Submap

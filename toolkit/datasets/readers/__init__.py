@@ -1,0 +1,1 @@
+"""Readers of data sets, sensors and folders: one module per format."""

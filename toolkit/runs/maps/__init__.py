@@ -1,0 +1,1 @@
+"""Maps of finished runs: read, labelled, edited, merged, registered and compared."""

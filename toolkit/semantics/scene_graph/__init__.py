@@ -1,0 +1,1 @@
+"""What stands where: bodies of objects, relations, rooms, storeys, floor plans, paths, changes."""
