@@ -58,11 +58,11 @@ def test_a_job_gets_its_words_and_gives_its_status(monkeypatch):
         (OSError("strange"), "strange"),
         (
             MemoryError(),
-            "not enough memory; close other programs or raise its limit (ulimit -v); runs need less",
+            "not enough memory; close other programs or raise the limit (ulimit -v); runs need",
         ),
         (
             RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory: ..."),
-            "not enough memory; close other programs or raise its limit (ulimit -v); runs need less",
+            "not enough memory; close other programs or raise the limit (ulimit -v); runs need",
         ),
         (
             ModuleNotFoundError("No module named 'gtsam'", name="gtsam"),
