@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
 import random
 import subprocess
 import sys
@@ -103,12 +104,16 @@ def main() -> int:
         keyframes = _keyframes(port)
         first_ms = _ask(_connection(port), "objects", HttpRequest("GET", "/objects")).latency_ms
         begin = time.perf_counter()
-        answers = _load(port, _well_formed(options.requests, keyframes, generator), options.clients)
+        requests = _well_formed(options.requests, keyframes, generator)
+        answers = _load(port, requests[: options.requests // 5], options.clients)
+        memory_mb = [_memory_mb(service)]
+        answers += _load(port, requests[options.requests // 5 :], options.clients)
         elapsed_s = time.perf_counter() - begin
         malformed = [
             _ask(_connection(port), "malformed", request)
             for request in malformed_requests(options.malformed, generator)
         ]
+        memory_mb.append(_memory_mb(service))
         alive = (
             service.poll() is None
             and _ask(_connection(port), "run", HttpRequest("GET", "/run")).status == 200
@@ -116,9 +121,11 @@ def main() -> int:
     finally:
         service.terminate()
         _, errors = service.communicate()
+    rate = options.requests / elapsed_s
     note = (
         f"{options.requests} requests of {options.clients} clients in {elapsed_s:.1f} s: "
-        f"{options.requests / elapsed_s:.0f} per second. Objects, first request: {first_ms:.0f} ms."
+        f"{rate:.0f} per second. Objects, first request: {first_ms:.0f} ms. Memory of the service: "
+        f"{memory_mb[0]:.0f} MB after a fifth of the requests, {memory_mb[1]:.0f} MB after all."
     )
     tracebacks = errors.count("Traceback")
     tables = (_latencies(answers, note), _statuses(malformed, alive, tracebacks))
@@ -140,6 +147,13 @@ def _run(frames: int) -> Path:
 def _started(run: Path) -> tuple[subprocess.Popen[str], int]:
     service, url = start_semsplat_server("serve", str(run), "--port", "0")
     return service, int(url.rpartition(":")[2])
+
+
+def _memory_mb(service: subprocess.Popen[str]) -> float:
+    """Resident memory of the service; NaN where the system does not tell."""
+    state = Path(f"/proc/{service.pid}/statm")
+    pages = int(state.read_text("utf-8").split()[1]) if state.exists() else float("nan")
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def _connection(port: int) -> http.client.HTTPConnection:

@@ -56,10 +56,13 @@ def test_a_job_gets_its_words_and_gives_its_status(monkeypatch):
             "/root/x: Permission denied; choose a path that you may read and write",
         ),
         (OSError("strange"), "strange"),
-        (MemoryError(), "not enough memory; try a smaller --image-size or fewer frames"),
+        (
+            MemoryError(),
+            "not enough memory; close other programs or raise the limit (ulimit -v); runs need",
+        ),
         (
             RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory: ..."),
-            "not enough memory; try a smaller --image-size or fewer frames",
+            "not enough memory; close other programs or raise the limit (ulimit -v); runs need",
         ),
         (
             ModuleNotFoundError("No module named 'gtsam'", name="gtsam"),

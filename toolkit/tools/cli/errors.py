@@ -129,7 +129,10 @@ def explain(error: Exception) -> str | None:
         name = _one_line(error.object)
         return f"a library needs names in UTF-8, not {name}; set the locale: export LC_ALL=C.UTF-8"
     if isinstance(error, MemoryError) or _is_torch_memory_error(error):
-        return "not enough memory; try a smaller --image-size or fewer frames (--max-frames)"
+        return (
+            "not enough memory; close other programs or raise the limit (ulimit -v); runs need "
+            "less with a smaller --image-size or fewer frames (--max-frames)"
+        )
     return None
 
 
