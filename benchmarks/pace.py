@@ -127,7 +127,7 @@ def _psnr_before_refinement(folder: RunFolder) -> float | None:
     )
     mapping = replace(settings.mapping, final_iterations=0)
     slam = build_slam(dataset, replace(settings, mapping=mapping), folder)
-    checkpoint = folder.load_checkpoint()
+    checkpoint = folder.checkpoints.load()
     assert checkpoint is not None
     slam.restore(checkpoint.arrays, checkpoint.values)
     result = slam.finish()

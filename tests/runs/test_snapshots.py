@@ -130,7 +130,7 @@ def test_snapshots_and_checkpoints_have_the_scene_graph(tiny_recording, tmp_path
     points_m = run.slam.scene.snapshot().points_m
     assert set(seen.voxels_m) == set(points_m)
     assert all(np.array_equal(seen.voxels_m[n], points_m[n]) for n in points_m)
-    run.folder.save_checkpoint(6, *run.slam.state())
+    run.folder.checkpoints.save(6, *run.slam.state())
     run.observers.close()
     assert ProgressReader(run.path).read().graph == expected
 
@@ -184,13 +184,13 @@ def test_an_older_checkpoint_does_not_replace_what_was_shown(running):
     reader = ProgressReader(running.path)
     watch(running.folder)
     running.process(0.0)
-    running.folder.save_checkpoint(1, *running.slam.state())
+    running.folder.checkpoints.save(1, *running.slam.state())
     running.process(5.0)
     assert reader.read().next_frame == 2
     unwatch(running.folder)
     assert reader.read() is None
     running.process(10.0)
-    running.folder.save_checkpoint(3, *running.slam.state())
+    running.folder.checkpoints.save(3, *running.slam.state())
     assert reader.read().next_frame == 3
 
 

@@ -52,7 +52,7 @@ def test_a_signal_ends_a_run_with_a_checkpoint(
     line = capsys.readouterr().err.strip().splitlines()[-1]
     command = " ".join(["semsplat", *words, "--resume"])
     assert line == f"semsplat: {word}; a checkpoint is saved; continue with: {command}"
-    saved = RunFolder(tmp_path / "run").load_checkpoint()
+    saved = RunFolder(tmp_path / "run").checkpoints.load()
     assert saved is not None and saved.next_frame == 4
     monkeypatch.undo()
     assert main([*words, "--resume"]) == 0

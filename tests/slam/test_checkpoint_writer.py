@@ -10,6 +10,7 @@ import pytest
 
 from toolkit.base.errors import RunFolderError
 from toolkit.runs.checkpoint_writer import CheckpointWriter
+from toolkit.runs.checkpoints import Checkpoints
 from toolkit.runs.folder import RunFolder
 
 
@@ -36,7 +37,7 @@ def test_the_newest_state_is_loaded(folder, background):
         system.array += 1
         writer.save(system, frame)
     writer.wait()
-    checkpoint = folder.load_checkpoint()
+    checkpoint = folder.checkpoints.load()
     assert checkpoint.next_frame == 2
     assert checkpoint.arrays["a"].tolist() == [3.0] * 3
 
@@ -48,19 +49,19 @@ def test_saving_returns_before_the_state_is_written(folder, monkeypatch):
         System(),
         threading.Event(),
     )
-    save = folder.save_checkpoint
+    save = folder.checkpoints.save
 
     def slowly(*arguments):
         assert released.wait(10)
         save(*arguments)
 
-    monkeypatch.setattr(RunFolder, "save_checkpoint", lambda _self, *a: slowly(*a))
+    monkeypatch.setattr(Checkpoints, "save", lambda _self, *a: slowly(*a))
     writer.save(system, 7)
     system.array += 5
-    assert folder.load_checkpoint() is None
+    assert folder.checkpoints.load() is None
     released.set()
     writer.wait()
-    assert folder.load_checkpoint().arrays["a"].tolist() == [0.0] * 3
+    assert folder.checkpoints.load().arrays["a"].tolist() == [0.0] * 3
 
 
 @pytest.fixture
@@ -68,7 +69,7 @@ def full_disk(monkeypatch) -> None:
     def fail(*_):
         raise RunFolderError("no space left")
 
-    monkeypatch.setattr(RunFolder, "save_checkpoint", fail)
+    monkeypatch.setattr(Checkpoints, "save", fail)
 
 
 def test_a_checkpoint_that_cannot_be_written_is_an_error(folder, full_disk):

@@ -26,11 +26,11 @@ def folder(tmp_path) -> RunFolder:
 
 
 def save(folder: RunFolder, number: int) -> None:
-    folder.save_checkpoint(number, {"a/b": np.full(4, number)}, {"keyframes": number})
+    folder.checkpoints.save(number, {"a/b": np.full(4, number)}, {"keyframes": number})
 
 
 def test_a_new_folder_has_no_checkpoint(folder):
-    assert folder.load_checkpoint() is None
+    assert folder.checkpoints.load() is None
     assert folder.config.read_text() == CONFIG
     assert folder.renders.is_dir()
 
@@ -38,11 +38,11 @@ def test_a_new_folder_has_no_checkpoint(folder):
 def test_the_newest_checkpoint_comes_back_whole(folder):
     for number in range(5):
         save(folder, number)
-        checkpoint = RunFolder.open(folder.path).load_checkpoint()
+        checkpoint = RunFolder.open(folder.path).checkpoints.load()
         assert checkpoint.next_frame == number
         assert checkpoint.arrays["a/b"].tolist() == [number] * 4
         assert checkpoint.values == {"keyframes": number}
-    assert sorted(p.name for p in folder.checkpoints.iterdir()) == ["0", "1"]
+    assert sorted(p.name for p in folder.checkpoints.path.iterdir()) == ["0", "1"]
 
 
 @pytest.mark.parametrize("file", ["arrays.npz", "metadata.json"])
@@ -50,18 +50,18 @@ def test_the_newest_checkpoint_comes_back_whole(folder):
 def test_a_damaged_newest_falls_back_to_the_one_before(folder, caplog, file, newest):
     for number in range(3 if newest == "0" else 4):
         save(folder, number)
-    last = folder.load_checkpoint().next_frame
-    damaged = folder.checkpoints / newest / file
+    last = folder.checkpoints.load().next_frame
+    damaged = folder.checkpoints.path / newest / file
     damaged.write_bytes(damaged.read_bytes()[:-20])
     with caplog.at_level(logging.WARNING):
-        assert folder.load_checkpoint().next_frame == last - 1
+        assert folder.checkpoints.load().next_frame == last - 1
     if file == "arrays.npz":
-        assert str(folder.checkpoints / newest) in caplog.text
+        assert str(folder.checkpoints.path / newest) in caplog.text
 
 
 def test_what_a_killed_process_was_writing_is_removed_when_the_run_is_resumed(folder):
     save(folder, 1)
-    places = (folder.path, folder.checkpoints, folder.submaps, folder.renders)
+    places = (folder.path, folder.checkpoints.path, folder.submaps, folder.renders)
     for parent in (*places, folder.part(1).path):
         (parent / ".writing-a").mkdir(parents=True)
         (parent / ".writing-a/arrays.npz").write_bytes(b"half")
@@ -69,42 +69,42 @@ def test_what_a_killed_process_was_writing_is_removed_when_the_run_is_resumed(fo
         (parent / ".writing-c.ply").write_bytes(b"half")
     folder.remove_leftovers()
     assert not list(folder.path.rglob(".*"))
-    assert folder.load_checkpoint().next_frame == 1
+    assert folder.checkpoints.load().next_frame == 1
 
 
 def test_after_a_damage_the_good_one_is_not_the_next_to_go(folder):
     for number in range(3):
         save(folder, number)
-    (folder.checkpoints / "0" / "metadata.json").write_text("{")
+    (folder.checkpoints.path / "0" / "metadata.json").write_text("{")
     save(folder, 9)
-    assert folder.load_checkpoint().next_frame == 9
-    (folder.checkpoints / "0" / "arrays.npz").write_bytes(b"")
-    assert folder.load_checkpoint().next_frame == 1
+    assert folder.checkpoints.load().next_frame == 9
+    (folder.checkpoints.path / "0" / "arrays.npz").write_bytes(b"")
+    assert folder.checkpoints.load().next_frame == 1
 
 
 def test_a_checkpoint_of_another_format_is_not_called_damaged(folder):
     save(folder, 0)
-    path = folder.checkpoints / "0" / "metadata.json"
+    path = folder.checkpoints.path / "0" / "metadata.json"
     metadata = json.loads(path.read_text())
     metadata["format"] = 1
     path.write_text(json.dumps(metadata))
     with pytest.raises(RunFolderError, match=r"checkpoint format 1.*reads format \d.*new run"):
-        folder.load_checkpoint()
+        folder.checkpoints.load()
 
 
 def test_a_missing_file_is_a_damage(folder):
     save(folder, 0)
     save(folder, 1)
-    (folder.checkpoints / "1" / "arrays.npz").unlink()
-    assert folder.load_checkpoint().next_frame == 0
+    (folder.checkpoints.path / "1" / "arrays.npz").unlink()
+    assert folder.checkpoints.load().next_frame == 0
 
 
 def test_nothing_readable_is_an_error(folder):
     for number in range(2):
         save(folder, number)
-        (folder.checkpoints / str(number) / "arrays.npz").write_bytes(b"no zip")
+        (folder.checkpoints.path / str(number) / "arrays.npz").write_bytes(b"no zip")
     with pytest.raises(RunFolderError, match="start a new run"):
-        folder.load_checkpoint()
+        folder.checkpoints.load()
 
 
 def test_another_thread_count_is_an_error_that_names_the_remedy(folder):
@@ -114,7 +114,7 @@ def test_another_thread_count_is_an_error_that_names_the_remedy(folder):
         save(folder, 0)
         torch.set_num_threads(2)
         with pytest.raises(RunFolderError, match="OMP_NUM_THREADS=1"):
-            folder.load_checkpoint()
+            folder.checkpoints.load()
     finally:
         torch.set_num_threads(before)
 

@@ -61,11 +61,11 @@ class CheckpointWriter:
         arrays, values = system.state()
         frames = {} if self._identity is None else self._identity(next_frame)
         if self._executor is None:
-            self._folder.save_checkpoint(next_frame, arrays, values, frames)
+            self._folder.checkpoints.save(next_frame, arrays, values, frames)
         else:
             copies = {name: np.array(array) for name, array in arrays.items()}
             self._pending = self._executor.submit(
-                self._folder.save_checkpoint, next_frame, copies, values, frames
+                self._folder.checkpoints.save, next_frame, copies, values, frames
             )
         system.atlas.checkpointed()
 

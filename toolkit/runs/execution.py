@@ -89,7 +89,7 @@ def run(
     config = dump_settings(settings)
     load_lpips(settings)  # reports unusable weights before the run instead of after it
     # Check the saved map before the folder is created. A checkpoint already contains the map.
-    has_checkpoint = resume and RunFolder(out).has_checkpoint
+    has_checkpoint = resume and bool(RunFolder(out).checkpoints)
     saved = None if has_checkpoint else open_saved_map(settings, dataset)
     folder = RunFolder.open(out) if resume else RunFolder.create(out, config)
     with locked(out):
@@ -98,7 +98,7 @@ def run(
         folder.remove_leftovers()
         if resume:
             folder.prepare()
-            if folder.is_finished and not folder.has_checkpoint:
+            if folder.is_finished and not folder.checkpoints:
                 _log.info("%s is finished; there is nothing to resume.", out)
                 return
         try:
@@ -107,7 +107,7 @@ def run(
             _execute(settings, dataset, folder, saved, hooks)
         except Exception:
             # Without a checkpoint there is nothing to resume.
-            if not (resume or folder.has_checkpoint or folder.is_finished):
+            if not (resume or folder.checkpoints or folder.is_finished):
                 folder.discard()
             raise
 
@@ -237,12 +237,12 @@ def _restore(
     Raises:
         RunFolderError: the checkpoint is damaged or belongs to another sequence.
     """
-    checkpoint = folder.load_checkpoint()
+    checkpoint = folder.checkpoints.load()
     if checkpoint is None:
         return None
     if not 0 <= checkpoint.next_frame <= len(dataset):
         raise RunFolderError(
-            f"the checkpoint in {folder.checkpoints} is at frame {checkpoint.next_frame}, but "
+            f"the checkpoint in {folder.checkpoints.path} is at frame {checkpoint.next_frame}, but "
             f"{dataset.name} has {len(dataset)} frames; resume with the run's dataset"
         )
     check_identity(checkpoint.frames, identity(checkpoint.next_frame), folder.path)
@@ -250,7 +250,7 @@ def _restore(
         system.restore(checkpoint.arrays, checkpoint.values)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise RunFolderError(
-            f"the checkpoint in {folder.checkpoints} is damaged ({error!r}); start a new run"
+            f"the checkpoint in {folder.checkpoints.path} is damaged ({error!r}); start a new run"
         ) from error
     return checkpoint.next_frame
 

@@ -1,22 +1,18 @@
-"""Run folders: results, and checkpoints from which a run can be resumed.
+"""Run folders: the settings of a run, its results, and what can be resumed.
 
-    config.yaml  trajectory.txt  covariances.txt  map.ply  frames.json  renders/  metrics.json
-    report.html  taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
-    objects.json (of runs with instances)  objects.npz (embeddings of objects)
-    parts/N (of maps in separate parts)  delays.csv (of runs with --pace)
-    live/ (while a viewer follows the run)
-
-Checkpoints alternate between two folders: the older one is replaced, so that a complete checkpoint
-exists at any time. They are saved between frames and do not change the state of the run.
+config.yaml  trajectory.txt  covariances.txt  map.ply  frames.json  renders/  metrics.json
+report.html  taxonomy.yaml  semantics/  submaps/  loops.jsonl  log.txt  checkpoint/{0,1}
+objects.json (of runs with instances)  objects.npz (embeddings of objects)
+parts/N (of maps in separate parts)  delays.csv (of runs with --pace)
+live/ (while a viewer follows the run)
 """
 
 from __future__ import annotations
 
 import json
-import logging
 import shutil
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -37,34 +33,13 @@ from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.io.splat_parts import write_splat_parts
 from toolkit.io.trajectories import read_tum, write_tum
 from toolkit.io.user_files import read_text
+from toolkit.runs.checkpoints import CHECKPOINT_FORMAT, Checkpoints
 from toolkit.runs.formats import counted, upgraded_decoder
 from toolkit.runs.lock import LOCK, is_unused
 from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.runs.settings import other_keys
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.splatting.gaussians.cloud import GaussianCloud
-
-_log = logging.getLogger(__name__)
-
-_SLOTS = ("0", "1")
-# To be incremented when the state of any part of a run changes its layout.
-CHECKPOINT_FORMAT = 13
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """Saved state of a run.
-
-    Attributes:
-        next_frame: index of the frame at which to continue.
-        arrays, values: state of the SLAM system, as returned by `Slam.state`.
-        frames: identifies the frames before it, see `processed_frames`; empty if not saved.
-    """
-
-    next_frame: int
-    arrays: dict[str, NDArray]
-    values: dict[str, Any]
-    frames: dict[str, str] = field(default_factory=dict)
 
 
 class RunFolder:
@@ -91,7 +66,7 @@ class RunFolder:
         self.saved_map = path / "saved_map.json"
         self.log = path / "log.txt"
         self.lock = path / LOCK
-        self.checkpoints = path / "checkpoint"
+        self.checkpoints = Checkpoints(path / "checkpoint")
         self.parts = path / "parts"
         self.live = path / "live"
         self.snapshot = self.live / "snapshot"
@@ -127,7 +102,7 @@ class RunFolder:
             RunFolderError: the folder cannot be written.
         """
         try:
-            for part in (self.renders, self.checkpoints):
+            for part in (self.renders, self.checkpoints.path):
                 part.mkdir(exist_ok=True)
             if not self.loops.exists():  # a refused resumption changes no file
                 self.loops.touch()
@@ -156,7 +131,8 @@ class RunFolder:
     def file_names(self) -> set[str]:
         """Names of the files and folders that make up a run."""
         graphs = {self.scene_graph.with_suffix(suffix) for suffix in (".jsonld", ".graphml")}
-        paths = graphs | {value for value in vars(self).values() if isinstance(value, Path)}
+        paths = graphs | {self.checkpoints.path}
+        paths |= {value for value in vars(self).values() if isinstance(value, Path)}
         return {path.name for path in paths if path.parent == self.path}
 
     def part(self, number: int) -> RunFolder:
@@ -169,7 +145,7 @@ class RunFolder:
         for path in small:
             path.unlink(missing_ok=True)
         shutil.rmtree(self.live, ignore_errors=True)
-        for path in (self.renders, self.checkpoints, self.submaps, self.path):
+        for path in (self.renders, self.checkpoints.path, self.submaps, self.path):
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()
 
@@ -206,7 +182,7 @@ class RunFolder:
         if not keys:
             return
         saved = "stated nowhere"
-        for path, serial in self.saved_checkpoints()[:1]:
+        for path, serial in self.checkpoints.saved()[:1]:
             stated = {} if serial < 0 else read_json(path / "metadata.json")
             saved = f"semsplat {stated.get('version')}, checkpoint format {stated.get('format')}"
         raise RunFolderError(
@@ -216,103 +192,10 @@ class RunFolder:
             "a new run"
         )
 
-    def save_checkpoint(
-        self,
-        next_frame: int,
-        arrays: dict[str, NDArray],
-        values: dict[str, Any],
-        frames: Mapping[str, str] | None = None,
-    ) -> None:
-        """Save a checkpoint in place of the older one; arguments as in `Checkpoint`.
-
-        Raises:
-            RunFolderError: the disk is full or not writable.
-        """
-        saved = self.saved_checkpoints()
-        serial = saved[0][1] + 1 if saved else 0
-        target = self.checkpoints / _SLOTS[serial % 2]
-        metadata = {
-            "serial": serial,
-            "next_frame": next_frame,
-            "threads": torch.get_num_threads(),
-            "version": __version__,
-            "format": CHECKPOINT_FORMAT,
-            "frames": dict(frames or {}),
-            "values": values,
-        }
-        write_array_tree(target, arrays, metadata)
-
-    def load_checkpoint(self) -> Checkpoint | None:
-        """Load the newest readable checkpoint, None if there is none.
-
-        Raises:
-            RunFolderError: all checkpoints are damaged, another version of semsplat saved them
-                in another format, or the run used another number of threads, with which results
-                would differ by rounding.
-        """
-        damaged = []
-        for path, _ in self.saved_checkpoints():
-            try:
-                tree = read_array_tree(path)
-            except (FormatError, RunFolderError) as error:
-                _log.warning("Checkpoint %s is damaged; trying the previous one: %s.", path, error)
-                damaged.append(path)
-                continue
-            try:
-                next_frame = int(tree.metadata["next_frame"])
-                threads, values = tree.metadata["threads"], tree.metadata["values"]
-                frames = dict(tree.metadata.get("frames", {}))
-            except (KeyError, TypeError, ValueError) as error:
-                _log.warning("Checkpoint %s is damaged (%r).", path, error)
-                damaged.append(path)
-                continue
-            saved_format = tree.metadata.get("format")
-            if saved_format != CHECKPOINT_FORMAT:
-                raise RunFolderError(
-                    f"{path} has checkpoint format {saved_format}, this version of semsplat reads "
-                    f"format {CHECKPOINT_FORMAT}; resume with the version that started the run, "
-                    "or start a new run"
-                )
-            if threads != torch.get_num_threads():
-                raise RunFolderError(
-                    f"{self.path} was started with {threads} threads, but torch now uses "
-                    f"{torch.get_num_threads()}; set OMP_NUM_THREADS={threads} to resume it"
-                )
-            return Checkpoint(next_frame, tree.arrays, values, frames)
-        if damaged:
-            raise RunFolderError(
-                f"no checkpoint in {self.checkpoints} can be read; start a new run"
-            )
-        return None
-
     @property
     def is_finished(self) -> bool:
         """Whether all results are written; the report is the last one."""
         return self.metrics.is_file() and self.report.is_file()
-
-    def remove_checkpoints(self) -> None:
-        """Remove the checkpoints of a run whose results are complete."""
-        for name in _SLOTS:
-            shutil.rmtree(self.checkpoints / name, ignore_errors=True)
-
-    @property
-    def has_checkpoint(self) -> bool:
-        """Whether there is a checkpoint, readable or damaged."""
-        return bool(self.saved_checkpoints())
-
-    def saved_checkpoints(self) -> list[tuple[Path, int]]:
-        """Return (folder, serial number) of the checkpoints, newest first."""
-        found = []
-        for name in _SLOTS:
-            path = self.checkpoints / name
-            try:
-                serial = read_json(path / "metadata.json")["serial"]
-                found.append((path, int(serial)))
-            except FileNotFoundError:
-                continue
-            except (OSError, ValueError, KeyError, TypeError):
-                found.append((path, -1))  # unreadable: replaced first
-        return sorted(found, key=lambda item: -item[1])
 
     def check_taxonomy(self, taxonomy: Taxonomy | None) -> None:
         """Store the taxonomy of a new run; check that a resumed run uses the stored one.

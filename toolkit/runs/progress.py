@@ -18,7 +18,8 @@ from toolkit.base.geometry.image_sides import ImageSide
 from toolkit.io.arrays import JoinedArrays, arrays_below, read_array_tree
 from toolkit.io.guarded.documents import read_json
 from toolkit.io.splat_labels import SplatLabels
-from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
+from toolkit.runs.checkpoints import CHECKPOINT_FORMAT
+from toolkit.runs.folder import RunFolder
 from toolkit.runs.maps.map_files import splat_labels
 from toolkit.runs.settings import load_stored_settings
 from toolkit.runs.snapshots import watch
@@ -169,7 +170,7 @@ class ProgressReader:
         """Folder of the snapshot, otherwise of the newest checkpoint."""
         if self.folder.snapshot.is_dir():
             return self.folder.snapshot
-        return next((path for path, _ in self.folder.saved_checkpoints()), None)
+        return next((path for path, _ in self.folder.checkpoints.saved()), None)
 
     def _progress(self, arrays: dict[str, NDArray], metadata: dict[str, Any]) -> RunProgress:
         values = metadata["values"]

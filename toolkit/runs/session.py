@@ -137,7 +137,7 @@ class Session:
     def close_results(self) -> None:
         """After the results were written: store the submaps in metres, and only them."""
         self.slam.store_in_metres()
-        self.folder.remove_checkpoints()
+        self.folder.checkpoints.remove()
         self.slam.atlas.forget_checkpoints()
         self.slam.atlas.compress()
 

@@ -24,7 +24,8 @@ from toolkit.base.frame import Frame
 from toolkit.base.keyframe import Keyframe
 from toolkit.io.arrays import JoinedArrays, write_array_tree
 from toolkit.io.images import small_image
-from toolkit.runs.folder import CHECKPOINT_FORMAT, RunFolder
+from toolkit.runs.checkpoints import CHECKPOINT_FORMAT
+from toolkit.runs.folder import RunFolder
 from toolkit.runs.observers import ObservedRun
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.system import Slam

@@ -128,7 +128,7 @@ def run_live(
             with locked(out):
                 _execute(settings, options, source, folder, hooks)
         except Exception as error:
-            if not (folder.has_checkpoint or folder.is_finished):
+            if not (folder.checkpoints or folder.is_finished):
                 # Frames that could not be mapped are removed; others can be processed again.
                 unusable = isinstance(error, CameraError | DatasetError)
                 if source.writer is not None and unusable and not options.save_frames:

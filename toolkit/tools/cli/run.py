@@ -85,7 +85,7 @@ def resumption(out: Path, argv: Sequence[str]) -> str:
     if not folder.config.is_file():
         return "nothing was written"
     words = [*argv, *(["--resume"] if "--resume" not in argv else [])]
-    state = "a checkpoint is saved" if folder.has_checkpoint else "there is no checkpoint yet"
+    state = "a checkpoint is saved" if folder.checkpoints else "there is no checkpoint yet"
     return f"{state}; continue with: {shlex.join(['semsplat', 'run', *words])}"
 
 
