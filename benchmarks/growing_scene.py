@@ -31,6 +31,7 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.outcome import RunRecord
 from toolkit.runs.results import write_results
 from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.slam.growing_scene.listener import scene_graph_of
 from toolkit.slam.growing_scene.options import GrowingSceneOptions
 
 SEQUENCES = {"room": "room-objects", "office0": "office0", "ring": "ring-small"}
@@ -96,8 +97,9 @@ def measure(name: str, seed: int) -> Metrics:
         folder.check_taxonomy(finished.taxonomy)
         write_results(finished, dataset, folder, settings, RunRecord(watch, costs.costs()))
         scene = map_scene(select(folder.path), ObjectGraphOptions())
-        assert finished.scene_graph is not None
-        compared = _compared(finished.scene_graph, scene_graph(scene).content)
+        grown = scene_graph_of(finished)
+        assert grown is not None
+        compared = _compared(grown, scene_graph(scene).content)
     return compared | {
         "keyframes": len(spent_ms),
         "median_ms": float(np.median(spent_ms)),

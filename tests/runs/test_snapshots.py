@@ -123,11 +123,11 @@ def test_snapshots_and_checkpoints_have_the_scene_graph(tiny_recording, tmp_path
     assert {node["kind"] for node in first["nodes"]} == {"room"}, "one keyframe makes no object"
     watch(run.folder)
     run.process(9.0)
-    expected = run.slam.scene.content()
+    expected = run.slam.listener("scene").scene.content()
     assert len(expected["nodes"]) > 3
     seen = reader.read()
     assert seen.graph == expected
-    points_m = run.slam.scene.snapshot().points_m
+    points_m = run.slam.listener("scene").scene.snapshot().points_m
     assert set(seen.voxels_m) == set(points_m)
     assert all(np.array_equal(seen.voxels_m[n], points_m[n]) for n in points_m)
     run.folder.checkpoints.save(6, *run.slam.state())

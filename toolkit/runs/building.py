@@ -22,9 +22,12 @@ from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.taxonomy_building.factory import build_labeller
 from toolkit.slam.frame_preparation import FrameSources
 from toolkit.slam.growing_scene.growing import GrowingScene
+from toolkit.slam.growing_scene.listener import SceneListener
 from toolkit.slam.instances.factory import build_instances, may_ignore_masks
 from toolkit.slam.instances.ignoring import IgnoredMasks, IgnoredTexts
+from toolkit.slam.instances.listener import InstanceListener
 from toolkit.slam.instances.tracking import InstanceTracker
+from toolkit.slam.listeners import MapListener
 from toolkit.slam.loops.closing.factory import ClosingContext
 from toolkit.slam.mapping.mapper import Mapper
 from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
@@ -91,15 +94,18 @@ def build_slam(
     # A dataset ignores what moves with the camera itself.
     watches = dataset is None and settings.dataset.ignore_carrier
     sources = replace(sources, watches_carrier=watches)
-    slam = Slam(front_end, mapper, atlas, sources, recorder, instances)
-    slam.up_side = up_side(settings.dataset)
+    listeners: list[MapListener] = []
+    if instances is not None:
+        listeners.append(InstanceListener(instances, recorder))
     if settings.scene.graph:
         if taxonomy is None:
             raise SettingsError(
                 "--scene.graph needs class labels: use a dataset with label images, or add a "
                 "segmenter with --segmenter.kind"
             )
-        slam.grow_scene(GrowingScene(taxonomy, instances))
+        listeners.append(SceneListener(GrowingScene(taxonomy, instances), recorder))
+    slam = Slam(front_end, mapper, atlas, sources, recorder, listeners)
+    slam.up_side = up_side(settings.dataset)
     return slam
 
 

@@ -36,6 +36,7 @@ from toolkit.runs.report_pictures import (
 from toolkit.runs.settings import dump_settings
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.growing_scene.listener import scene_graph_of
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.pacing.delays import DelaySummary
 from toolkit.splatting.gaussians.scene import GaussianScene
@@ -149,7 +150,7 @@ def _floor_plan(outcome: RunOutcome, folder: RunFolder) -> ReportFloorPlan | Non
     if result.taxonomy is None or not len(result.map):
         return None
     cameras_m = result.trajectory.positions_m
-    graph = result.scene_graph
+    graph = scene_graph_of(result)
     return report_floor_plan(folder.map, result.taxonomy, cameras_m, outcome.names, graph)
 
 

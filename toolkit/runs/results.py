@@ -47,6 +47,8 @@ from toolkit.runs.scoring import (
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.query import FLOOR_NAMES
 from toolkit.semantics.scene_graph.storey_rooms import graph_frame
+from toolkit.slam.growing_scene.listener import scene_graph_of
+from toolkit.slam.instances.listener import instances_of
 from toolkit.slam.mapping.consensus import LabelAgreement
 from toolkit.slam.result import SlamResult
 from toolkit.splatting.gaussians.scene import GaussianScene, HalfPrecisionScene
@@ -94,8 +96,9 @@ def _write_map(outcome: RunOutcome, folder: RunFolder) -> GaussianScene:
         folder.write_semantics(features, result.semantics.state(), result.taxonomy)
         scene = HalfPrecisionScene(scene)
     folder.write_map(labelled_parts(scene, result.map, result, settings))
-    if result.instances is not None:
-        write_instances(result.instances, folder, result.taxonomy)
+    instances = instances_of(result)
+    if instances is not None:
+        write_instances(instances, folder, result.taxonomy)
     write_separate_parts(result, folder, settings)
     return scene
 
@@ -106,7 +109,7 @@ def _write_frames(outcome: RunOutcome, folder: RunFolder) -> None:
     folder.write_trajectory(result.trajectory, result.covariances)
     metric, origins = outcome.names.metric, _origins(outcome, folder)
     if outcome.settings.scene.graph:
-        write_scene_graph(folder, result.scene_graph, metric, origins)
+        write_scene_graph(folder, scene_graph_of(result), metric, origins)
     frames = frame_records(result, outcome.tracked, outcome.states, outcome.parts)
     frames |= {"format": RUN_FORMAT, "version": __version__}
     frames |= {"camera": asdict(dataset.camera), "metric": metric, **origins}

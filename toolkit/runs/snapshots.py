@@ -27,6 +27,7 @@ from toolkit.io.images import small_image
 from toolkit.runs.checkpoints import CHECKPOINT_FORMAT
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.observers import ObservedRun
+from toolkit.slam.growing_scene.listener import SCENE
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.system import Slam
 from toolkit.splatting.gaussians.cloud import PARAMETERS
@@ -172,8 +173,9 @@ class SnapshotWriter:
                 "lost_frames": list(path.lost_frames.items()),
             },
         }
-        if slam.scene is not None:
-            own, values["scene"] = slam.scene.state()
+        scene = slam.listener(SCENE)
+        if scene is not None:
+            own, values["scene"] = scene.state()
             joined = JoinedArrays.join(own)
             arrays |= {f"scene/{dtype}": array for dtype, array in joined.arrays.items()}
             values["scene_index"] = joined.index

@@ -16,7 +16,6 @@ from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.base.pose_graph.graph import PoseEdge
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.camera_path import CameraPath
-from toolkit.slam.instances.result import InstanceMap
 from toolkit.slam.mapping.consensus import LabelAgreement
 from toolkit.slam.mapping.mapper import MappingResult
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping
@@ -226,8 +225,7 @@ class SlamResult:
             loaded map if a frame was located there, otherwise the part of the most frames.
         other_parts: the other parts, as far as frames were tracked in them.
         units_per_metre: of the unit of length in which the system worked; see `LengthUnit`.
-        instances: objects of the map; None before `finish`, and without instances.
-        scene_graph: the graph that grew with the map, in node-link format; None without one.
+        heard: what each listener has found, by its name.
         keyframe_indices: frame indices of all keyframes of this sequence, in order. A keyframe on
             the boundary of two submaps counts once; those of a loaded map do not count.
         submaps: all submaps by number.
@@ -263,8 +261,7 @@ class SlamResult:
     parts: list[tuple[int, ...]] = field(default_factory=list)
     other_parts: list[SeparatePart] = field(default_factory=list)
     units_per_metre: float = 1.0
-    instances: InstanceMap | None = field(default=None, repr=False)
-    scene_graph: dict[str, Any] | None = field(default=None, repr=False)
+    heard: Mapping[str, Any] = field(default_factory=dict, repr=False)
     label_agreement: LabelAgreement = field(default_factory=LabelAgreement)
 
     @property

@@ -23,13 +23,9 @@ from toolkit.slam.collection import collected, parts_of, poses_beside
 from toolkit.slam.frame_locator import FrameLocator
 from toolkit.slam.frame_preparation import FramePreparation, FrameSources
 from toolkit.slam.front_end import FrontEnd
-from toolkit.slam.growing_scene.growing import GrowingScene
-from toolkit.slam.instances.finishing import finish_instances
-from toolkit.slam.instances.result import InstanceMap
-from toolkit.slam.instances.saved import SavedObjects
-from toolkit.slam.instances.tracking import InstanceTracker
 from toolkit.slam.intermediate_mapping import IntermediateMapping
 from toolkit.slam.length_unit import METRE, LengthUnit
+from toolkit.slam.listeners import MapListener
 from toolkit.slam.mapping.deferred import DeferredSteps
 from toolkit.slam.mapping.intermediate_frames import IntermediateFrames
 from toolkit.slam.mapping.keyframes import KeyframeChoice
@@ -77,7 +73,7 @@ class Slam:
         atlas: Atlas | None = None,
         sources: FrameSources | None = None,
         recorder: Recorder | None = None,
-        instances: InstanceTracker | None = None,
+        listeners: Sequence[MapListener] = (),
     ) -> None:
         """Assemble the system.
 
@@ -87,7 +83,7 @@ class Slam:
             atlas: holds all submaps; a single submap by default.
             sources: what frames are prepared with; by default, they are denoised.
             recorder: receives times and counts.
-            instances: tracks objects; None for a map without instances.
+            listeners: are told how the map grows, in this order.
         """
         self.mapper = mapper
         self.tracker = front_end.tracker
@@ -118,9 +114,7 @@ class Slam:
             front_end, mapper, self.atlas, self._changes, self._between, self._recorder
         )
         self._fused: list[FusedMap | None] = []
-        self._instances = instances
-        self._instance_map: InstanceMap | None = None
-        self._scene: GrowingScene | None = None
+        self._listeners = listeners
 
     @property
     def unit(self) -> LengthUnit:
@@ -161,19 +155,9 @@ class Slam:
         self.atlas.load_map(map(self.unit.submap, submaps))
         self._closer.map_loaded(self.atlas)
 
-    def load_objects(self, saved: SavedObjects, offset: int) -> None:
-        """Load the objects of the Gaussians of a loaded map; as `InstanceTracker.load`."""
-        if self._instances is not None:
-            self._instances.load(saved, offset)
-
-    def grow_scene(self, scene: GrowingScene) -> None:
-        """Keep a scene graph up to date with every keyframe, from the first frame on."""
-        self._scene = scene
-
-    @property
-    def scene(self) -> GrowingScene | None:
-        """The scene graph that grows with the map; None without one."""
-        return self._scene
+    def listener(self, name: str) -> MapListener | None:
+        """The listener of a name; None without it."""
+        return next((one for one in self._listeners if one.name == name), None)
 
     def prepare(self, frame: Frame) -> None:
         """Do work for a later frame that does not depend on the map; results do not change.
@@ -237,12 +221,8 @@ class Slam:
         elif may_map:
             self._between.add(frame, T_map_camera, exposure_of(tracking))
 
-        if self._instances is not None:
-            with self._recorder.timed(Stage.INSTANCES):
-                self._instances.update(self.atlas.active, self.atlas.keyframes)
-        if self._scene is not None:
-            with self._recorder.timed(Stage.SCENE_GRAPH):
-                self._scene.update(self.atlas, 1.0 / self.unit.per_metre)
+        for listener in self._listeners:
+            listener.frame_added(self.atlas, 1.0 / self.unit.per_metre)
         steps = 0 if mapping is None else mapping.steps
         self._path.add(frame, self.atlas, T_map_camera, tracking, steps, recorded)
         T_world_camera = self.atlas.T_world_submap(self.atlas.active) @ T_map_camera
@@ -338,16 +318,13 @@ class Slam:
                 refine_submaps(self.atlas, self.mapper, poses, progress)
                 if self.mapper.options.final_anchors:
                     align_anchors(self.atlas, self.mapper, parts)
-                if self._scene is not None:
-                    self._scene.finish(self.atlas, 1.0 / self.unit.per_metre)
+                for listener in self._listeners:
+                    listener.corrected(self.atlas, 1.0 / self.unit.per_metre)
                 label_saved(self.atlas, self.mapper, parts)
                 free_space = self.mapper.options.free_space
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
-                if self._instances is not None and not self._instances.is_idle:
-                    with self._recorder.timed(Stage.INSTANCE_VOTES):
-                        self._instance_map = finish_instances(
-                            self._instances, self.atlas, self._fused
-                        )
+                for listener in self._listeners:
+                    listener.finished(self.atlas, self._fused)
         return self.result()
 
     @property
@@ -365,10 +342,9 @@ class Slam:
         """The current state of the run."""
         semantics, maps = self.mapper.semantics, self._fused
         found = collected(self.atlas, self._path, self._closer, maps, semantics, self.taxonomy)
-        found = self.unit.result_in_metres(replace(found, instances=self._instance_map))
-        graph = None if self._scene is None or not self._fused else self._scene.content()
-        agreement = self.mapper.label_agreement
-        return replace(found, scene_graph=graph, label_agreement=agreement)
+        heard = {one.name: one.content() for one in self._listeners}
+        found = replace(found, label_agreement=self.mapper.label_agreement, heard=heard)
+        return self.unit.result_in_metres(found)
 
     def store_in_metres(self) -> None:
         """Convert the stored submaps of a finished run; nothing may be processed afterwards."""
@@ -409,8 +385,7 @@ class Slam:
             "recovery": self._recovery,
             "changes": self._changes,
         }
-        correction, instances = self._preparation.correction, self._instances
+        correction = self._preparation.correction
         parts |= {} if correction is None else {"correction": correction}
         parts |= {} if self._carrier is None else {"carrier": self._carrier}
-        parts |= {} if instances is None else {"instances": instances}
-        return parts if self._scene is None else parts | {"scene": self._scene}
+        return parts | {listener.name: listener for listener in self._listeners}

@@ -36,8 +36,9 @@ def test_objects_are_the_instances_of_the_run():
         },
     )
     slam = build_slam(settings=settings)
-    assert slam._instances is not None
-    assert slam._closer._parts.objects._instances is slam._instances
+    listener = slam.listener("instances")
+    assert listener is not None
+    assert slam._closer._parts.objects._instances is listener.tracker
 
 
 @pytest.mark.parametrize(("verify", "said"), [(True, "needs classes"), (False, "no-verify")])

@@ -11,6 +11,7 @@ from toolkit.runs.folder import MapPart
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.decoding import Decoding
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.instances.listener import instances_of
 from toolkit.slam.instances.result import InstanceMap
 from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import SlamResult
@@ -35,9 +36,9 @@ def labelled_parts(
         if result.taxonomy is not None:
             decoding = result.semantics.decode_gaussians(part.features)
             labels = splat_labels(decoding, settings.semantics.min_confidence)
-        instances = None
-        if result.instances is not None and number is not None:
-            instances = result.instances.ids.get(number)
+        found, instances = instances_of(result), None
+        if found is not None and number is not None:
+            instances = found.ids.get(number)
         yield MapPart(part, labels, number, instances)
 
 

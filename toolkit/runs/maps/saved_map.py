@@ -20,6 +20,7 @@ from toolkit.runs.maps.saved_objects import load_objects
 from toolkit.runs.maps.splat_map import open_splat_map, summary
 from toolkit.runs.modes import mode_of
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.instances.listener import InstanceListener
 from toolkit.slam.instances.saved import SavedObjects
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.submaps.submap import Submap
@@ -166,8 +167,9 @@ def load_saved_map(slam: Slam, saved: SavedMap, folder: RunFolder) -> None:
             yield submap.renumbered(number, -last - _INDEX_GAP)
 
     slam.load_map(renumbered())
-    if saved.objects is not None:
-        slam.load_objects(saved.objects.renumbered(list(submaps)), -last - _INDEX_GAP)
+    objects = slam.listener(InstanceListener.name)
+    if saved.objects is not None and isinstance(objects, InstanceListener):
+        objects.tracker.load(saved.objects.renumbered(list(submaps)), -last - _INDEX_GAP)
 
 
 def _unlabelled(submap: Submap, semantics: SemanticMapping) -> Submap:
