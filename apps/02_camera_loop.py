@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 
 import toolkit
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
-from toolkit.synthetic_rooms import tiny_room
 from toolkit.tools.cli.errors import one_line_errors
 
 

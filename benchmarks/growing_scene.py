@@ -31,8 +31,8 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.outcome import RunRecord
 from toolkit.runs.results import write_results
 from toolkit.runs.settings import RunSettings, dump_settings
-from toolkit.slam.growing_scene.listener import scene_graph_of
-from toolkit.slam.growing_scene.options import GrowingSceneOptions
+from toolkit.scene.growing.listener import scene_graph_of
+from toolkit.scene.growing.options import GrowingSceneOptions
 
 SEQUENCES = {"room": "room-objects", "office0": "office0", "ring": "ring-small"}
 KINDS = ("on", "in", "above", "facing", "next to", "part of", "connected to")

@@ -155,7 +155,7 @@ def _answer(path: Path) -> None:
 
 
 def _masks(folder: Path) -> None:
-    from toolkit.slam.instances.mask_images import MaskImageFolder
+    from toolkit.scene.instances.mask_images import MaskImageFolder
 
     masks = MaskImageFolder(folder, {0: folder / "000000.png"})
     masks.class_names()
@@ -163,7 +163,7 @@ def _masks(folder: Path) -> None:
 
 
 def _coco(folder: Path) -> None:
-    from toolkit.slam.instances.coco import CocoMasks
+    from toolkit.scene.instances.coco import CocoMasks
 
     masks = CocoMasks(folder / "masks.json")
     masks.class_names()

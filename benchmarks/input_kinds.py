@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
-from toolkit.synthetic_rooms import tiny_room
 
 Array = NDArray[np.float64]
 

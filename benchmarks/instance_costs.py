@@ -14,7 +14,7 @@ from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.runs.building import build_slam
 from toolkit.runs.settings import RunSettings
-from toolkit.slam.instances.options import InstanceOptions
+from toolkit.scene.instances.options import InstanceOptions
 
 OFF = "off"
 _FRAMES = 60

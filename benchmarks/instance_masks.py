@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from toolkit.base.keyframe import Keyframe
 from toolkit.io.images import read_labels
+from toolkit.scene.instances.masks import InstanceMasks
 from toolkit.semantics.segmenters.image_folder import resized_labels
-from toolkit.slam.instances.masks import InstanceMasks
 
 Ids = NDArray[np.int32]
 

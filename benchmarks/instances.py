@@ -29,17 +29,17 @@ from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation.instances import instance_scores
 from toolkit.runs.maps.map_files import splat_labels
 from toolkit.runs.settings import RunSettings
+from toolkit.scene.instances.finishing import finish_instances
+from toolkit.scene.instances.geometric import GeometricMasks
+from toolkit.scene.instances.masks import InstanceMasks, MaskSource
+from toolkit.scene.instances.options import InstanceOptions
+from toolkit.scene.instances.records import KeyframeMasks
+from toolkit.scene.instances.result import InstanceMap
+from toolkit.scene.instances.tracking import InstanceTracker
+from toolkit.scene.instances.voting import GaussianVotes, MaskedKeyframe
+from toolkit.scene.instances.voxels import VoxelVotes, sampled, sampling_step
+from toolkit.scene.query import LabelledMap
 from toolkit.semantics.options import ObjectOptions
-from toolkit.semantics.query import LabelledMap
-from toolkit.slam.instances.finishing import finish_instances
-from toolkit.slam.instances.geometric import GeometricMasks
-from toolkit.slam.instances.masks import InstanceMasks, MaskSource
-from toolkit.slam.instances.options import InstanceOptions
-from toolkit.slam.instances.records import KeyframeMasks
-from toolkit.slam.instances.result import InstanceMap
-from toolkit.slam.instances.tracking import InstanceTracker
-from toolkit.slam.instances.voting import GaussianVotes, MaskedKeyframe
-from toolkit.slam.instances.voxels import VoxelVotes, sampled, sampling_step
 from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import SlamResult
 from toolkit.slam.system import Slam

@@ -23,12 +23,12 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.options import validated
 from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.synthetic_rooms.finishes import Finish
 from toolkit.runs.evaluation.images import masked_psnr_db, mean_or_none
 from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.runs.settings import RunSettings
 from toolkit.splatting.gaussians.scene import GaussianScene
 from toolkit.splatting.rendering import RenderOptions, backend, render_surface
-from toolkit.synthetic_rooms.finishes import Finish
 
 Mask = NDArray[np.bool_]
 

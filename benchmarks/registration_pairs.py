@@ -20,6 +20,8 @@ from toolkit.base.frame import Frame
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
 from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.synthetic_rooms import SensorModel, tiny_room
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
 from toolkit.io.trajectories import read_tum
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.factory import build_code
@@ -30,8 +32,6 @@ from toolkit.slam.mapping.mapper import Mapper
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.slam.submaps.submap import Submap
 from toolkit.slam.tracking.depth_filter import denoised
-from toolkit.synthetic_rooms import SensorModel, tiny_room
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 
 Array = NDArray[np.float64]
 

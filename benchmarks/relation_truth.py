@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from toolkit.base.geometry.open3d_bridge import open3d
+from toolkit.datasets.synthetic_rooms.layouts import LAYOUTS, Layout, build_parts
+from toolkit.datasets.synthetic_rooms.parts import Part
+from toolkit.datasets.synthetic_rooms.shell import DOOR_WIDTH_M
 from toolkit.exports.options import ObjectGraphOptions
-from toolkit.semantics.query import CEILING_NAMES, FLOOR_NAMES
-from toolkit.semantics.scene_graph.relations import Role
-from toolkit.semantics.scene_graph.roles import ENCLOSING_NAMES
-from toolkit.semantics.scene_graph.scene import WALL_NAMES
-from toolkit.synthetic_rooms.layouts import LAYOUTS, Layout, build_parts
-from toolkit.synthetic_rooms.parts import Part
-from toolkit.synthetic_rooms.shell import DOOR_WIDTH_M
+from toolkit.scene.graph.relations import Role
+from toolkit.scene.graph.roles import ENCLOSING_NAMES
+from toolkit.scene.graph.scene import WALL_NAMES
+from toolkit.scene.query import CEILING_NAMES, FLOOR_NAMES
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from benchmarks.report import publish
 from benchmarks.results_file import RESULTS, Results, current_header
 from benchmarks.tables import Metrics, Table, table_of
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.io.object_embeddings import ObjectEmbeddings, unit_rows
+from toolkit.scene.object_search import rank_objects
 from toolkit.semantics.embedding_fusion import FusionOptions, fuse_views, view_weights
-from toolkit.semantics.object_search import rank_objects
 from toolkit.semantics.product_quantisation import compress
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ _DISTANCES_M, _FULL_AREA_PX = (0.7, 4.0), 64.0**2
 _PARTS, _CODEWORDS = 64, 64
 _MEASURES = (
     "toolkit/semantics/embedding_fusion.py",
-    "toolkit/semantics/object_search.py",
+    "toolkit/scene/object_search.py",
     "toolkit/semantics/product_quantisation.py",
     "toolkit/io/object_embeddings.py",
 )

@@ -22,11 +22,11 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.options import validated
 from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.synthetic_rooms.ray_casting import Scene
+from toolkit.datasets.synthetic_rooms.room import RoomSettings, room_scene
 from toolkit.runs.evaluation.images import masked_psnr_db, mean_or_none
 from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.runs.settings import RunSettings
-from toolkit.synthetic_rooms.ray_casting import Scene
-from toolkit.synthetic_rooms.room import RoomSettings, room_scene
 
 ROOMS = ("room", "room-noise")
 SHAPES = ("spheres", "ellipsoids")

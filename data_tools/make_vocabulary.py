@@ -12,9 +12,9 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.datasets.synthetic_rooms import SensorModel, tiny_room
 from toolkit.semantics.features.faiss_library import faiss
 from toolkit.semantics.features.vlad import encoder_keypoints, root_sift
-from toolkit.synthetic_rooms import SensorModel, tiny_room
 
 _SEEDS = range(100, 108)
 _FRAMES = 24

@@ -90,8 +90,8 @@ def resumable_run(tiny_recording: Path) -> Path:
 @pytest.fixture(scope="session")
 def submaps_run(tmp_path_factory) -> Path:
     """The folder of a finished run of several submaps. Read only: copy it to change it."""
-    from toolkit.synthetic_rooms import tiny_room
-    from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
+    from toolkit.datasets.synthetic_rooms import tiny_room
+    from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
     from toolkit.tools.cli.main import main
 
     folder = tmp_path_factory.mktemp("submaps")

@@ -11,16 +11,16 @@ import torch
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.synthetic_rooms.layouts import LAYOUTS, Layout, build_parts
+from toolkit.datasets.synthetic_rooms.parts import Part
+from toolkit.datasets.synthetic_rooms.paths import look_at
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS, CLASS_NAMES
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.io.splats import write_splat_ply
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.splatting.gaussians.cloud import GaussianCloud
-from toolkit.synthetic_rooms.layouts import LAYOUTS, Layout, build_parts
-from toolkit.synthetic_rooms.parts import Part
-from toolkit.synthetic_rooms.paths import look_at
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS, CLASS_NAMES
 
 TAXONOMY = Taxonomy({"things": list(CLASS_NAMES)}, classes=CLASS_NAMES, name="rooms")
 # Nothing may rely on the map standing upright.

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from toolkit.base.keyframe import Keyframe
-from toolkit.slam.growing_scene.growing import GrowingScene
+from toolkit.scene.growing.growing import GrowingScene
 
 
 class OneSubmap:

@@ -15,6 +15,8 @@ from toolkit.base.frame import Frame
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.codes import flat_code
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
@@ -22,8 +24,6 @@ from toolkit.slam.mapping.options import MapperOptions
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.submaps.submap import Submap
 from toolkit.splatting.losses.semantic import SemanticLoss
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 QUICK = MapperOptions(first_iterations=4, iterations=6, max_iterations=6)
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import yaml
 
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 
 FRAMES, WIDTH, HEIGHT = 6, 64, 48
 _FPS, _DEPTH_SCALE = 30.0, 5000.0

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from toolkit.base.frame import Frame
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.slam.mapping.options import MapperOptions
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.gaussians.options import SeedingOptions
 from toolkit.splatting.gaussians.seeding import seed
 from toolkit.splatting.rendering import RenderOptions, backend, render, render_surface
-from toolkit.synthetic_rooms import tiny_room
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 from labelled_room import sheet
 from layout_run import write_run
 
-from toolkit.synthetic_rooms.paths import look_at
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
+from toolkit.datasets.synthetic_rooms.paths import look_at
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
 
 STOREY_M, _CEILING_M = 2.8, 2.5
 LENGTH_M, WIDTH_M = 8.0, 5.0

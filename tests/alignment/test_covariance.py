@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.splatting.alignment.covariance import clustered_information
 from toolkit.splatting.alignment.data import FrameLevel
 from toolkit.splatting.alignment.joint import Estimate, JointOptions, Pair, align
 from toolkit.splatting.alignment.levels import keyframe_level, model_level
-from toolkit.synthetic_rooms import tiny_room
 
 OPTIONS = JointOptions(levels=1)
 

@@ -15,6 +15,7 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.keyframe import Keyframe
 from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.semantics.features.keypoints import Keypoints
 from toolkit.splatting.alignment import matching
 from toolkit.splatting.alignment.matching import (
@@ -24,7 +25,6 @@ from toolkit.splatting.alignment.matching import (
     rigid_fits,
     similarity_fits,
 )
-from toolkit.synthetic_rooms import tiny_room
 
 seeds = st.integers(0, 10_000)
 few = settings(max_examples=15)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from tiny_plans import semsplat, write_plan
 
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
 
 
 @pytest.fixture(scope="session")

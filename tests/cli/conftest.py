@@ -12,10 +12,10 @@ from room_runs import RoomRuns, make_room_runs
 
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.runs.folder import MapPart, RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.splatting.gaussians.cloud import GaussianCloud
-from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
 
 @pytest.fixture(scope="session")

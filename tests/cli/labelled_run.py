@@ -11,10 +11,10 @@ from labelled_room import T_MAP_ROOM, TAXONOMY, gaussians_at, labelled, room_par
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.io.splats import write_splat_ply
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
-from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 
 PLACES = ((0.6, 2.2, 1.7), (3.3, 2.4, 1.6), (2.0, 2.7, 1.9))
 TARGET = (2.1, 1.2, 0.5)

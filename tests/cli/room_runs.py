@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.base.geometry import se3
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.tools.cli.main import main
 
 QUICK = [

@@ -13,8 +13,8 @@ import pytest
 from layout_run import changed, make_run
 from test_finished_run_programs import one_line_of_error
 
+from toolkit.datasets.synthetic_rooms.layouts import LAYOUTS, build_parts
 from toolkit.runs.evaluation.comparison import direction
-from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
 from toolkit.tools.cli.compare import unique_names
 from toolkit.tools.cli.main import main
 

@@ -13,14 +13,14 @@ from test_instance_runs import arguments
 from test_semantic_runs import error_of
 from tiny_models import save_clip
 
+from toolkit.datasets.synthetic_rooms import RoomSettings, make_room
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
 from toolkit.io.images import read_labels, write_png
 from toolkit.io.splats import read_splats
 from toolkit.runs.evaluation.metrics import read_metrics
 from toolkit.runs.maps.finished import load_run
 from toolkit.runs.scoring import evaluate
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.synthetic_rooms import RoomSettings, make_room
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 from toolkit.tools.cli.main import main
 
 FRAMES = 8

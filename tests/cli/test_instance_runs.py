@@ -13,13 +13,13 @@ from test_semantic_runs import QUICK, error_of
 from tiny_mask_models import CLASSES, save_mask2former
 
 from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.synthetic_rooms import RoomSettings, make_room
 from toolkit.io.images import read_labels, write_png
 from toolkit.io.splats import read_splats
 from toolkit.runs.execution import run as execute
 from toolkit.runs.settings import CheckpointOptions, load_settings
-from toolkit.slam.instances.options import InstanceOptions
+from toolkit.scene.instances.options import InstanceOptions
 from toolkit.slam.mapping.options import MapperOptions
-from toolkit.synthetic_rooms import RoomSettings, make_room
 from toolkit.tools.cli.main import main
 
 FRAMES = 8

@@ -12,13 +12,13 @@ from room_runs import walk
 from test_register import other_tree, without_descriptors, without_submaps
 
 from toolkit.base.geometry import se3
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.io.covariances import read_covariances
 from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
 from toolkit.runs import session as program
 from toolkit.runs.maps.finished import load_run
 from toolkit.slam.loops.log import read_loop_log
-from toolkit.synthetic_rooms import tiny_room
 from toolkit.tools.cli.main import main
 
 

@@ -14,13 +14,13 @@ from test_run_in_saved_map import error_of, stopped_after
 
 from toolkit.base.errors import SettingsError
 from toolkit.base.geometry import se3
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.io.splats import export_splats, read_splats
 from toolkit.runs.maps.finished import load_run
 from toolkit.runs.maps.saved_map import open_saved_map
 from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.runs.settings import RunSettings
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.tools.cli.main import main
 
 UNITS_PER_METRE = 2.5

@@ -12,13 +12,13 @@ import pytest
 import torch
 from test_finished_run_programs import one_line_of_error
 
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.io.splats import read_splats
 from toolkit.runs.evaluation.metrics import flattened, read_metrics
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.trees import shipped_taxonomy
 from toolkit.slam.mapping import semantic_mapping
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.tools.cli.main import main
 
 QUICK = [

@@ -11,9 +11,9 @@ import pytest
 
 from toolkit.base.frame import Frame
 from toolkit.base.geometry.camera import Camera
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
+from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.semantics.segmenters.linear_head import LinearHead
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
-from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.tools.cli.main import main
 
 transformers = pytest.importorskip("transformers")

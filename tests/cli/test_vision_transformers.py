@@ -11,6 +11,8 @@ import torch
 from killed_runs import kept_checkpoints
 
 from toolkit.base.geometry import se3
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.io.arrays import arrays_below, read_array_tree
 from toolkit.runs.evaluation.metrics import read_metrics
 from toolkit.runs.evaluation.run_loops import accepted_edges
@@ -18,8 +20,6 @@ from toolkit.semantics.features.factory import build_encoder
 from toolkit.semantics.features.options import FeatureOptions
 from toolkit.slam.loops.log import read_loop_log
 from toolkit.slam.loops.retrieval import DescriptorIndex
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
 from toolkit.tools.cli.main import main
 
 pytest.importorskip("transformers")

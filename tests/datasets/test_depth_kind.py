@@ -9,7 +9,7 @@ import pytest
 
 from toolkit.base.frame import Frame
 from toolkit.datasets.depth_kind import depth_kind_fault
-from toolkit.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms import tiny_room
 
 
 @pytest.fixture(scope="module")

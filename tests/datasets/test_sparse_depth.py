@@ -11,11 +11,11 @@ from toolkit.base.options import validated
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.registry import describe, open_dataset
 from toolkit.datasets.sparse_depth import filled, sparsity
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
 from toolkit.runs.execution import run
 from toolkit.runs.settings import RunSettings
-from toolkit.synthetic_rooms import tiny_room
 
 HEIGHT, WIDTH = 90, 120
 

@@ -24,7 +24,7 @@ from toolkit.runs.evaluation.report import (
     write_report,
 )
 from toolkit.runs.evaluation.timing import StageTime
-from toolkit.semantics.scene_graph.floor_plan import ClassArea
+from toolkit.scene.graph.floor_plan import ClassArea
 
 
 def arc(poses: int = 30) -> Trajectory:

@@ -14,7 +14,7 @@ from benchmarks.motion_methods import OpenCvOdometry, frame_to_frame, largest_fi
 from benchmarks.silent_errors import motion_metrics
 from toolkit.base.geometry import se3
 from toolkit.datasets.registry import describe
-from toolkit.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms import tiny_room
 
 
 def test_rows_name_sequences_and_cases_that_exist():

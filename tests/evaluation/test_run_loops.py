@@ -9,11 +9,11 @@ import pytest
 
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.trajectory import Trajectory
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.runs.evaluation import run_loops
 from toolkit.runs.evaluation.loops import LoopTruthOptions
 from toolkit.runs.evaluation.options import TruthErrorOptions
 from toolkit.runs.evaluation.run_loops import run_loop_metrics
-from toolkit.synthetic_rooms import tiny_room
 
 GAP = LoopTruthOptions(min_gap_frames=6, min_gap_m=0.0)
 

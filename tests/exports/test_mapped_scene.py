@@ -12,11 +12,11 @@ from layout_run import T_MAP_WORLD, changed, layout_run, make_run
 
 from toolkit.base.errors import SettingsError
 from toolkit.base.geometry import se3
+from toolkit.datasets.synthetic_rooms.layouts import LAYOUTS, build_parts
 from toolkit.exports.map_changes import changes_between
 from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
-from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
 
 OPTIONS = ObjectGraphOptions(link_m=0.2, min_gaussians=20)
 

@@ -21,9 +21,9 @@ from toolkit.io.images import read_rgb
 from toolkit.io.length_names import METRES
 from toolkit.runs.maps.visibility import KeyframeViews
 from toolkit.runs.report_pictures import report_floor_plan
-from toolkit.semantics.scene_graph.boxes import Ground
-from toolkit.semantics.scene_graph.paths import NoPathError
-from toolkit.semantics.scene_graph.storeys import Floors, Storeys
+from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.paths import NoPathError
+from toolkit.scene.graph.storeys import Floors, Storeys
 from toolkit.tools.viewer.shown_objects import shown_objects
 
 OPTIONS = ObjectGraphOptions(link_m=0.2, min_gaussians=20)

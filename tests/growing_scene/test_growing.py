@@ -12,12 +12,12 @@ from one_submap import OneSubmap, grown, labelled_keyframe
 
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
+from toolkit.scene.growing.growing import GrowingScene
+from toolkit.scene.growing.objects import Fragment
+from toolkit.scene.instances.masks import InstanceMasks
+from toolkit.scene.instances.options import InstanceOptions
+from toolkit.scene.instances.tracking import InstanceTracker
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam.growing_scene.growing import GrowingScene
-from toolkit.slam.growing_scene.objects import Fragment
-from toolkit.slam.instances.masks import InstanceMasks
-from toolkit.slam.instances.options import InstanceOptions
-from toolkit.slam.instances.tracking import InstanceTracker
 
 NAMES = {FLOOR: "floor", WALL: "wall", CEILING: "ceiling", SURFACE: "table", OBJECT: "cabinet"}
 CLASSES = tuple(NAMES[k] for k in sorted(NAMES))

@@ -13,13 +13,13 @@ from two_storeys import AREAS_M2, STOREY_M, VISITED, points_of
 
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
-from toolkit.semantics.scene_graph.boxes import Ground
-from toolkit.semantics.scene_graph.relations import Relation
-from toolkit.semantics.scene_graph.storeys import Floors, Storeys
+from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.relations import Relation
+from toolkit.scene.graph.storeys import Floors, Storeys
+from toolkit.scene.growing.growing import GrowingScene
+from toolkit.scene.growing.live_relations import LiveRelations
+from toolkit.scene.growing.rooms import GrowingBuilding
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam.growing_scene.growing import GrowingScene
-from toolkit.slam.growing_scene.live_relations import LiveRelations
-from toolkit.slam.growing_scene.rooms import GrowingBuilding
 
 NAMES = {FLOOR: "floor", WALL: "wall", CEILING: "ceiling", SURFACE: "table", OBJECT: "cabinet"}
 CLASSES = tuple(NAMES[k] for k in sorted(NAMES))

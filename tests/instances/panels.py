@@ -8,9 +8,9 @@ import torch
 from toolkit.base.exposure import IDENTITY
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.keyframe import Keyframe
-from toolkit.slam.instances.masks import InstanceMasks
-from toolkit.slam.instances.options import InstanceOptions
-from toolkit.slam.instances.tracking import InstanceTracker
+from toolkit.scene.instances.masks import InstanceMasks
+from toolkit.scene.instances.options import InstanceOptions
+from toolkit.scene.instances.tracking import InstanceTracker
 
 CAMERA = Camera(fx=80.0, fy=80.0, cx=79.5, cy=59.5, width=160, height=120)
 DISTANCE_M = 2.0

@@ -9,10 +9,10 @@ import pytest
 from panels import Scripted, keyframe, of_ids, panel_image, tracked
 
 from toolkit.base.errors import DatasetError
-from toolkit.slam.instances.embeddings import MAX_VIEWS, ViewEmbeddings
-from toolkit.slam.instances.masks import InstanceMasks
-from toolkit.slam.instances.options import InstanceOptions
-from toolkit.slam.instances.tracking import InstanceTracker
+from toolkit.scene.instances.embeddings import MAX_VIEWS, ViewEmbeddings
+from toolkit.scene.instances.masks import InstanceMasks
+from toolkit.scene.instances.options import InstanceOptions
+from toolkit.scene.instances.tracking import InstanceTracker
 
 AXES = np.eye(4, dtype=np.float32)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from panels import CAMERA, DISTANCE_M, LEFT, RIGHT, keyframe, panel_image
 
-from toolkit.slam.instances.records import KeyframeMasks, records_state, restored_records
-from toolkit.slam.instances.voting import GaussianVotes, MaskedKeyframe
-from toolkit.slam.instances.voxels import VoxelVotes
+from toolkit.scene.instances.records import KeyframeMasks, records_state, restored_records
+from toolkit.scene.instances.voting import GaussianVotes, MaskedKeyframe
+from toolkit.scene.instances.voxels import VoxelVotes
 
 OBJECTS = np.array([LEFT, RIGHT], np.int32)
 

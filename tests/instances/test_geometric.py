@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from panels import keyframe, panel_image
 
-from toolkit.slam.instances.geometric import GeometricMasks
+from toolkit.scene.instances.geometric import GeometricMasks
 
 
 def numbers(ids: np.ndarray, *pixels: tuple[int, int]) -> list[int]:

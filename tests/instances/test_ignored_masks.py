@@ -13,12 +13,12 @@ from toolkit.base.errors import DatasetError, FormatError
 from toolkit.base.frame import Frame
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.keyframe import Keyframe
+from toolkit.scene.instances.ignoring import IgnoredMasks, IgnoredTexts, MeantClasses, NearestTexts
+from toolkit.scene.instances.masks import InstanceMasks
+from toolkit.scene.instances.options import InstanceOptions
+from toolkit.scene.instances.tracking import InstanceTracker
 from toolkit.semantics.labeller import without_pixels
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam.instances.ignoring import IgnoredMasks, IgnoredTexts, MeantClasses, NearestTexts
-from toolkit.slam.instances.masks import InstanceMasks
-from toolkit.slam.instances.options import InstanceOptions
-from toolkit.slam.instances.tracking import InstanceTracker
 
 CAMERA = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
 TAXONOMY = Taxonomy({"furniture": ["chair", "sofa"], "structure": ["wall", "floor"]})

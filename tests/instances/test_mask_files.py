@@ -13,11 +13,11 @@ from panels import keyframe, panel_image
 
 from toolkit.base.errors import DatasetError, SettingsError
 from toolkit.io.images import write_png
-from toolkit.slam.instances.coco import CocoMasks
-from toolkit.slam.instances.factory import build_instances
-from toolkit.slam.instances.mask_images import MaskImageFolder
-from toolkit.slam.instances.options import InstanceOptions
-from toolkit.slam.instances.rle import decoded_mask
+from toolkit.scene.instances.coco import CocoMasks
+from toolkit.scene.instances.factory import build_instances
+from toolkit.scene.instances.mask_images import MaskImageFolder
+from toolkit.scene.instances.options import InstanceOptions
+from toolkit.scene.instances.rle import decoded_mask
 
 
 @pytest.fixture

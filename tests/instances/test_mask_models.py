@@ -14,12 +14,12 @@ import torch
 from panels import CAMERA, DISTANCE_M, keyframe
 
 from toolkit.base.errors import DependencyError, FormatError, SettingsError
+from toolkit.scene.instances.factory import build_instances
+from toolkit.scene.instances.models.factory import model_masks
+from toolkit.scene.instances.models.grounding_dino import box_mask
+from toolkit.scene.instances.models.layers import layered
+from toolkit.scene.instances.options import InstanceModelOptions, InstanceOptions
 from toolkit.semantics.features.pretrained.preprocessing import ImagePreprocessing
-from toolkit.slam.instances.factory import build_instances
-from toolkit.slam.instances.models.factory import model_masks
-from toolkit.slam.instances.models.grounding_dino import box_mask
-from toolkit.slam.instances.models.layers import layered
-from toolkit.slam.instances.options import InstanceModelOptions, InstanceOptions
 
 pytest.importorskip("transformers")
 

@@ -12,8 +12,8 @@ from panels import CAMERA, keyframe, panel_image
 
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.geometry.voxels import voxel_keys, voxels_of
-from toolkit.slam.instances.geometric import GeometricMasks
-from toolkit.slam.instances.voxels import MaskedVoxels, VoxelVotes, sampled, sampling_step
+from toolkit.scene.instances.geometric import GeometricMasks
+from toolkit.scene.instances.voxels import MaskedVoxels, VoxelVotes, sampled, sampling_step
 
 
 def votes_of(rounds: list[list[tuple[int, int]]]) -> VoxelVotes:

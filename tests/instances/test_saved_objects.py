@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from panels import Scripted, keyframe, panel_image
 
+from toolkit.scene.instances.options import InstanceOptions
+from toolkit.scene.instances.result import MapObject
+from toolkit.scene.instances.saved import SavedObjects, joined
+from toolkit.scene.instances.tracking import InstanceTracker
 from toolkit.semantics.embedding_fusion import FusedEmbedding
-from toolkit.slam.instances.options import InstanceOptions
-from toolkit.slam.instances.result import MapObject
-from toolkit.slam.instances.saved import SavedObjects, joined
-from toolkit.slam.instances.tracking import InstanceTracker
 
 MOVED = np.eye(4)
 MOVED[:3, 3] = [0.5, -0.25, 1.0]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from panels import LEFT, RIGHT, Scripted, current_objects, keyframe, panel_image, tracked
 
-from toolkit.slam.instances.joining import join_parts, join_submaps
-from toolkit.slam.instances.masks import InstanceMasks
-from toolkit.slam.instances.options import InstanceOptions
-from toolkit.slam.instances.tracking import InstanceTracker
-from toolkit.slam.instances.voxels import MaskedVoxels, VoxelVotes
+from toolkit.scene.instances.joining import join_parts, join_submaps
+from toolkit.scene.instances.masks import InstanceMasks
+from toolkit.scene.instances.options import InstanceOptions
+from toolkit.scene.instances.tracking import InstanceTracker
+from toolkit.scene.instances.voxels import MaskedVoxels, VoxelVotes
 
 SHIFTS = [0.1 * k - 0.3 for k in range(7)]
 

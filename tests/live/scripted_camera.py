@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from toolkit.base.frame import Frame
 from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.base import RecordedDataset
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.runs.live.camera import CapturedFrame
-from toolkit.synthetic_rooms import tiny_room
 
 
 class ScriptedCamera:

@@ -28,7 +28,7 @@ from toolkit.runs.live.options import LiveOptions
 from toolkit.runs.maps.finished import load_run
 from toolkit.runs.settings import RunSettings
 from toolkit.runs.stopping import StopSignals
-from toolkit.slam.growing_scene.options import GrowingSceneOptions
+from toolkit.scene.growing.options import GrowingSceneOptions
 from toolkit.slam.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.tools.cli.live import stopped_by_signals
 from toolkit.tools.cli.main import main

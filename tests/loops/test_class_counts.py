@@ -10,6 +10,8 @@ from toolkit.base.errors import SettingsError
 from toolkit.base.exposure import IDENTITY
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.codes import flat_code
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
@@ -24,8 +26,6 @@ from toolkit.slam.submaps.atlas import Atlas
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.losses.semantic import SemanticLoss
 from toolkit.splatting.rendering import backend
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 NAMES = ["wall", "chair", "table", "lamp"]
 CAMERA = Camera(40.0, 40.0, 19.5, 14.5, 40, 30)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from toolkit.base.frame import Frame
 from toolkit.base.geometry import se3
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.slam.mapping import hidden_gaussians
-from toolkit.synthetic_rooms import tiny_room
 
 
 @dataclass(frozen=True)

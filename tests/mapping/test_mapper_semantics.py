@@ -13,6 +13,7 @@ from mapped_submap import MappedSubmap
 from toolkit.base.errors import SettingsError
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.runs.execution import check_settings
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
@@ -23,7 +24,6 @@ from toolkit.slam.mapping.options import MapperOptions
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.splatting.losses.semantic import SemanticLoss
 from toolkit.splatting.rendering import RenderOptions, backend, render_surface
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 TREE = Taxonomy(
     {

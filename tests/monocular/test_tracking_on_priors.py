@@ -12,6 +12,7 @@ from toolkit.base.frame import Frame
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.base.options import as_plain, validated
 from toolkit.datasets.images_only import ImagesOnly
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.depth.depth_priors.options import DepthPriorOptions, ScaleCorrectionOptions
 from toolkit.depth.depth_priors.provider import (
     DepthKind,
@@ -26,7 +27,6 @@ from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
 from toolkit.runs.settings import RunSettings, load_settings
 from toolkit.slam.system import Slam
-from toolkit.synthetic_rooms import tiny_room
 
 FRAMES, SIZE, STRIDE = 10, 2, 2
 OPTIONS = DepthPriorOptions(

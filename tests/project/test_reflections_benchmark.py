@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import reflections
 from benchmarks.recordings import ROOMS
-from toolkit.synthetic_rooms.finishes import Finish
+from toolkit.datasets.synthetic_rooms.finishes import Finish
 
 
 def test_every_pixel_belongs_to_one_group(tmp_path):

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from toolkit.base.frame import Frame
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.writer import prepare_folder, write_sequence
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
 
 # What frames show by index: the room until 5, another place until 11, and the room again.
 FIRST, SECOND, THIRD = range(6), range(6, 12), range(12, 17)

@@ -14,10 +14,10 @@ import torch
 import toolkit
 from toolkit.base.errors import DatasetError
 from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.io.splats import write_splat_ply
 from toolkit.io.trajectories import write_tum
 from toolkit.runs.maps.splat_clouds import read_cloud
-from toolkit.synthetic_rooms import tiny_room
 from toolkit.tools.cli.main import main
 
 README = Path(__file__).resolve().parents[2] / "README.md"

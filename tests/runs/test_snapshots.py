@@ -19,7 +19,7 @@ from toolkit.runs.observers import ObservedRun, Observers
 from toolkit.runs.progress import ProgressReader
 from toolkit.runs.settings import RunSettings, dump_settings, load_settings
 from toolkit.runs.snapshots import SnapshotWriter, unwatch, watch
-from toolkit.slam.growing_scene.options import GrowingSceneOptions
+from toolkit.scene.growing.options import GrowingSceneOptions
 from toolkit.slam.mapping.options import KeyframePolicy, MapperOptions
 from toolkit.slam.submaps.options import AllocationOptions, SubmapOptions
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from labelled_room import HEIGHT_M, LENGTH_M, WIDTH_M, labelled, room_parts, sheet
 
 from toolkit.base.geometry import se3
-from toolkit.semantics.scene_graph.boxes import Ground, floor_area_m2, oriented_box
+from toolkit.scene.graph.boxes import Ground, floor_area_m2, oriented_box
 
 Z_UP = Ground(np.array([0.0, 0.0, 1.0]), 0.0)
 angles = st.floats(-np.pi, np.pi)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from labelled_room import T_MAP_ROOM
 
-from toolkit.semantics.scene_graph.changes import ComparedObject, Seen, compare_objects
+from toolkit.scene.graph.changes import ComparedObject, Seen, compare_objects
 
 CLEAR, HIDDEN, FILLED = Seen(1.0, 1.0), Seen(0.0, 0.0), Seen(1.0, 0.0)
 

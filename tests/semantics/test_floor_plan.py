@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from labelled_room import IDS, LENGTH_M, TAXONOMY, WIDTH_M, labelled, room_parts
 
-from toolkit.semantics.palette import Palette
-from toolkit.semantics.query import LabelledMap
-from toolkit.semantics.scene_graph.floor_plan import (
+from toolkit.scene.graph.floor_plan import (
     PlanDrawing,
     PlanEdge,
     PlanNode,
     draw_floor_plans,
     floor_plans,
 )
+from toolkit.scene.query import LabelledMap
+from toolkit.semantics.palette import Palette
 
 
 @pytest.fixture(scope="module")

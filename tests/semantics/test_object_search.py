@@ -7,7 +7,7 @@ import pytest
 
 from toolkit.base.errors import FormatError
 from toolkit.io.object_embeddings import ObjectEmbeddings
-from toolkit.semantics.object_search import rank_objects
+from toolkit.scene.object_search import rank_objects
 
 OBJECTS = ObjectEmbeddings(
     np.array([7, 3, 5], np.int32),

@@ -8,9 +8,9 @@ from labelled_room import T_MAP_ROOM
 
 from toolkit.base.geometry import se3
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from toolkit.semantics.scene_graph.boxes import Ground
-from toolkit.semantics.scene_graph.measures import free_width_m, surface_distance
-from toolkit.semantics.scene_graph.paths import NoPathError, PathFinder, Place, free_run_m
+from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.measures import free_width_m, surface_distance
+from toolkit.scene.graph.paths import NoPathError, PathFinder, Place, free_run_m
 
 CELL_M = 0.05
 # Nothing may rely on the map standing upright.

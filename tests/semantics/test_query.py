@@ -28,9 +28,9 @@ from labelled_room import (
 from toolkit.base.errors import FormatError
 from toolkit.base.geometry import se3
 from toolkit.io.splat_labels import SplatLabels
+from toolkit.scene.graph.scene import SceneReader
+from toolkit.scene.query import LabelledMap, check_labels, connected
 from toolkit.semantics.options import ObjectOptions
-from toolkit.semantics.query import LabelledMap, check_labels, connected
-from toolkit.semantics.scene_graph.scene import SceneReader
 
 OPTIONS = ObjectOptions()
 

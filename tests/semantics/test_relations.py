@@ -7,8 +7,8 @@ import pytest
 from labelled_room import T_MAP_ROOM, sheet, table
 
 from toolkit.base.geometry import se3
-from toolkit.semantics.scene_graph.boxes import Ground
-from toolkit.semantics.scene_graph.relations import RelationOptions, relations
+from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.relations import RelationOptions, relations
 
 GROUND = Ground(T_MAP_ROOM[:3, 2], float(T_MAP_ROOM[:3, 3] @ T_MAP_ROOM[:3, 2]))
 TABLE_TOP_M = 0.75

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.semantics.scene_graph import rooms
-from toolkit.semantics.scene_graph.rooms import RoomMap, RoomOptions, find_rooms, free_floor
+from toolkit.scene.graph import rooms
+from toolkit.scene.graph.rooms import RoomMap, RoomOptions, find_rooms, free_floor
 
 CELL_M = 0.05
 FLAT = ((0, 0, 12.8, 1.9), *((4.3 * k, 2.1, 4.3 * k + 4.2, 6.1) for k in range(3)))

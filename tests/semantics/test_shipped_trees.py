@@ -9,6 +9,7 @@ import cv2
 import pytest
 
 from toolkit.base.errors import FormatError
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_drawing import draw_taxonomy
 from toolkit.semantics.taxonomy_text import tree_text
@@ -18,7 +19,6 @@ from toolkit.semantics.trees import (
     taxonomy_for,
     taxonomy_named,
 )
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 SIZES = {"geometric": 5, "nyu40": 40, "replica": 101, "scannet20": 20}
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from toolkit.base.geometry import se3
-from toolkit.semantics.scene_graph.boxes import Ground
-from toolkit.semantics.scene_graph.rooms import RoomMap
-from toolkit.semantics.scene_graph.storey_rooms import numbered_rooms
-from toolkit.semantics.scene_graph.storeys import Floors, Storeys, find_storeys, lowest_floor
+from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.rooms import RoomMap
+from toolkit.scene.graph.storey_rooms import numbered_rooms
+from toolkit.scene.graph.storeys import Floors, Storeys, find_storeys, lowest_floor
 
 # Nothing may rely on the map standing upright.
 T_MAP_WORLD = se3.exp(np.array([0.3, -0.2, 1.5, 2.0, 0.4, -0.3]))

@@ -18,8 +18,8 @@ import pytest
 from layout_run import CLASS_NAMES, T_MAP_WORLD, Taxonomy, changed, make_run
 
 from toolkit.base.geometry import se3
+from toolkit.datasets.synthetic_rooms.layouts import LAYOUTS, build_parts
 from toolkit.io.splats import read_splats, write_splat_ply
-from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
 from toolkit.tools.cli.main import main
 from toolkit.tools.serving.admission import Computations
 from toolkit.tools.serving.map_tools import MapTools, looking_at, shown

@@ -8,7 +8,7 @@ from two_storeys import AREAS_M2, house_run
 from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
-from toolkit.semantics.scene_graph.paths import NoPathError
+from toolkit.scene.graph.paths import NoPathError
 from toolkit.tools.serving.map_tools import MapTools
 from toolkit.tools.serving.served_run import ServedRun
 

@@ -13,6 +13,8 @@ from toolkit.base.frame import Frame
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.base.options import validated
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.labeller import IgnoredPixels
 from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
@@ -25,8 +27,6 @@ from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.slam.system import FrameResult, Slam
 from toolkit.slam.tracking.dense import DenseTracker
 from toolkit.slam.tracking.placement import KeyframePlacement
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 FEW = MapperOptions(iterations=4, first_iterations=12, final_iterations=2)
 

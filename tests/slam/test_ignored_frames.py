@@ -5,11 +5,11 @@ import pytest
 from slam_room import SlamRoom, first_steps
 
 from toolkit.base.options import validated
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS, CLASS_NAMES
 from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
 from toolkit.semantics.taxonomy_building.factory import build_labeller
 from toolkit.slam.frame_preparation import FrameSources
 from toolkit.slam.ignored_frames import FramesWithoutIgnored
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS, CLASS_NAMES
 
 NAMES = dict(enumerate(CLASS_NAMES, start=1))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from slam_room import first_steps, new_semantic_slam
 
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from toolkit.base.geometry.frustum import Frustum
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.base.options import validated
 from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.io import images
 from toolkit.io.trajectories import write_tum
 from toolkit.runs.building import build_slam
@@ -28,7 +29,6 @@ from toolkit.slam.length_unit import LengthUnit
 from toolkit.slam.result import FrameResult
 from toolkit.slam.tracking.result import not_tracked
 from toolkit.splatting.gaussians.cloud import GaussianCloud
-from toolkit.synthetic_rooms import tiny_room
 from toolkit.tools.cli.main import main
 
 FRAMES, SIZE = 8, (80, 60)

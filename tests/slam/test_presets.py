@@ -10,11 +10,11 @@ import yaml
 
 from toolkit.base.errors import SettingsError
 from toolkit.base.options import as_plain, validated
+from toolkit.datasets.synthetic_rooms import tiny_room
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
 from toolkit.runs.building import build_slam
 from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.settings import PRESETS, PresetName, RunSettings, load_settings
-from toolkit.synthetic_rooms import tiny_room
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
 
 NAMES = get_args(PresetName)
 

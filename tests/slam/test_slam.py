@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from toolkit.base.frame import Frame, NullRecorder
 from toolkit.base.geometry import se3
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.folder import RunFolder
 from toolkit.slam.front_end import FrontEnd
@@ -28,7 +29,6 @@ from toolkit.slam.tracking.first_order_tracker import FirstOrderTracker
 from toolkit.slam.tracking.given import GivenPoses
 from toolkit.slam.tracking.options import FirstOrderOptions
 from toolkit.splatting.rendering import render
-from toolkit.synthetic_rooms import tiny_room
 
 
 def errors_m(slam: Slam, room: SlamRoom) -> np.ndarray:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from toolkit.base.errors import FormatError, RunFolderError
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.trees import shipped_taxonomy
@@ -30,7 +31,6 @@ from toolkit.slam.system import Slam
 from toolkit.slam.tracking.given import GivenPoses
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.rendering import render
-from toolkit.synthetic_rooms import tiny_room
 
 FEW = MapperOptions(iterations=3, first_iterations=10, final_iterations=2)
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from toolkit.synthetic_rooms.layouts import Layout, build_scene, single_room
-from toolkit.synthetic_rooms.ray_casting import Scene
+from toolkit.datasets.synthetic_rooms.layouts import Layout, build_scene, single_room
+from toolkit.datasets.synthetic_rooms.ray_casting import Scene
 
 
 @pytest.fixture(scope="session")

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from toolkit.datasets.registry import open_dataset
+from toolkit.datasets.synthetic_rooms import collection
+from toolkit.datasets.synthetic_rooms.furniture import Workshop
+from toolkit.datasets.synthetic_rooms.layouts import single_room
+from toolkit.datasets.synthetic_rooms.parts import bounds
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.vocabulary import SHAPES
-from toolkit.synthetic_rooms import collection
-from toolkit.synthetic_rooms.furniture import Workshop
-from toolkit.synthetic_rooms.layouts import single_room
-from toolkit.synthetic_rooms.parts import bounds
 
 CLASSES, FRAMES = 300, 8
 

@@ -9,9 +9,9 @@ import pytest
 
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
-from toolkit.synthetic_rooms import textures as tx
-from toolkit.synthetic_rooms.canvas import Canvas
-from toolkit.synthetic_rooms.layouts import (
+from toolkit.datasets.synthetic_rooms import textures as tx
+from toolkit.datasets.synthetic_rooms.canvas import Canvas
+from toolkit.datasets.synthetic_rooms.layouts import (
     LAYOUTS,
     WALL_PAPERS,
     WALL_PERIOD_M,
@@ -20,7 +20,7 @@ from toolkit.synthetic_rooms.layouts import (
     build_parts,
     build_scene,
 )
-from toolkit.synthetic_rooms.long_corridor import (
+from toolkit.datasets.synthetic_rooms.long_corridor import (
     BLANK_PANELS,
     DOOR_PITCH_M,
     JOINT_M,
@@ -28,10 +28,10 @@ from toolkit.synthetic_rooms.long_corridor import (
     PANEL_M,
     corridor_and_hall,
 )
-from toolkit.synthetic_rooms.parts import bounds
-from toolkit.synthetic_rooms.paths import STILL_FRAMES, hand_held_path, look_at
-from toolkit.synthetic_rooms.ray_casting import Scene
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
+from toolkit.datasets.synthetic_rooms.parts import bounds
+from toolkit.datasets.synthetic_rooms.paths import STILL_FRAMES, hand_held_path, look_at
+from toolkit.datasets.synthetic_rooms.ray_casting import Scene
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
 
 CAMERA = Camera(64.0, 64.0, 39.5, 29.5, 80, 60)
 

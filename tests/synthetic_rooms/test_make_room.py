@@ -13,10 +13,10 @@ from toolkit.base.errors import DatasetError, SettingsError
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.datasets.registry import open_dataset
-from toolkit.synthetic_rooms import RoomSettings, SensorModel, make_room, tiny_room
-from toolkit.synthetic_rooms.layouts import PLAIN_CLASSES
-from toolkit.synthetic_rooms.unseen import _visible_fraction, poses_off_the_path
-from toolkit.synthetic_rooms.writer import _stored
+from toolkit.datasets.synthetic_rooms import RoomSettings, SensorModel, make_room, tiny_room
+from toolkit.datasets.synthetic_rooms.layouts import PLAIN_CLASSES
+from toolkit.datasets.synthetic_rooms.unseen import _visible_fraction, poses_off_the_path
+from toolkit.datasets.synthetic_rooms.writer import _stored
 from toolkit.tools.cli.main import main as program
 
 TINY = RoomSettings(frames=6, share=0.1, width=64, height=48, unseen=2)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.synthetic_rooms import furnishing, furniture
-from toolkit.synthetic_rooms.furniture import Workshop
-from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
-from toolkit.synthetic_rooms.parts import Part
+from toolkit.datasets.synthetic_rooms import furnishing, furniture
+from toolkit.datasets.synthetic_rooms.furniture import Workshop
+from toolkit.datasets.synthetic_rooms.layouts import LAYOUTS, build_parts
+from toolkit.datasets.synthetic_rooms.parts import Part
 
 
 def objects_of(parts: list[Part], class_name: str) -> list[int]:

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from toolkit.synthetic_rooms import RoomSettings, SensorModel, make_room
-from toolkit.synthetic_rooms.imperfections import (
+from toolkit.datasets.synthetic_rooms import RoomSettings, SensorModel, make_room
+from toolkit.datasets.synthetic_rooms.imperfections import (
     white_balance_gains,
     with_flying_pixels,
     without_reflections,
 )
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
 
 FRAMES = 10
 CLEAN = RoomSettings(frames=FRAMES, share=0.1, width=64, height=48, unseen=1)

@@ -13,16 +13,21 @@ import pytest
 from toolkit.base.errors import SettingsError
 from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.registry import open_dataset
-from toolkit.synthetic_rooms import RoomSettings, SensorModel, finishes, make_room
-from toolkit.synthetic_rooms import textures as tx
-from toolkit.synthetic_rooms.finishes import LACQUER_REFLECTANCE, Finish, coated, reflectance
-from toolkit.synthetic_rooms.parts import Part
-from toolkit.synthetic_rooms.patches import box, plate
-from toolkit.synthetic_rooms.paths import look_at
-from toolkit.synthetic_rooms.ray_casting import RayCastView, Scene
-from toolkit.synthetic_rooms.reflections import Reflection, measured_depth, polished
-from toolkit.synthetic_rooms.vocabulary import GLOSSY_CLASS_NAMES, numbered
-from toolkit.synthetic_rooms.writer import DEPTH_SCALE
+from toolkit.datasets.synthetic_rooms import RoomSettings, SensorModel, finishes, make_room
+from toolkit.datasets.synthetic_rooms import textures as tx
+from toolkit.datasets.synthetic_rooms.finishes import (
+    LACQUER_REFLECTANCE,
+    Finish,
+    coated,
+    reflectance,
+)
+from toolkit.datasets.synthetic_rooms.parts import Part
+from toolkit.datasets.synthetic_rooms.patches import box, plate
+from toolkit.datasets.synthetic_rooms.paths import look_at
+from toolkit.datasets.synthetic_rooms.ray_casting import RayCastView, Scene
+from toolkit.datasets.synthetic_rooms.reflections import Reflection, measured_depth, polished
+from toolkit.datasets.synthetic_rooms.vocabulary import GLOSSY_CLASS_NAMES, numbered
+from toolkit.datasets.synthetic_rooms.writer import DEPTH_SCALE
 from toolkit.tools.cli.main import main as program
 
 CAMERA = Camera(100.0, 100.0, 63.5, 47.5, 128, 96)

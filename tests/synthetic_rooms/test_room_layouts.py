@@ -7,19 +7,19 @@ import pytest
 
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.open3d_bridge import open3d
-from toolkit.synthetic_rooms.furnishing import STYLES, furnish
-from toolkit.synthetic_rooms.furniture import Workshop
-from toolkit.synthetic_rooms.layouts import (
+from toolkit.datasets.synthetic_rooms.furnishing import STYLES, furnish
+from toolkit.datasets.synthetic_rooms.furniture import Workshop
+from toolkit.datasets.synthetic_rooms.layouts import (
     LAYOUTS,
     build_parts,
     build_scene,
     lamp_places,
     single_room,
 )
-from toolkit.synthetic_rooms.parts import bounds
-from toolkit.synthetic_rooms.paths import hand_held_path
-from toolkit.synthetic_rooms.shell import room_shell
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS, CLASS_NAMES
+from toolkit.datasets.synthetic_rooms.parts import bounds
+from toolkit.datasets.synthetic_rooms.paths import hand_held_path
+from toolkit.datasets.synthetic_rooms.shell import room_shell
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS, CLASS_NAMES
 
 
 def _points(parts):

@@ -6,15 +6,15 @@ import pytest
 
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
-from toolkit.synthetic_rooms import atlas
-from toolkit.synthetic_rooms import textures as tx
-from toolkit.synthetic_rooms.layouts import LAYOUTS, build_parts
-from toolkit.synthetic_rooms.parts import Part
-from toolkit.synthetic_rooms.patches import box, plate
-from toolkit.synthetic_rooms.paths import hand_held_path, look_at
-from toolkit.synthetic_rooms.ray_casting import Scene
-from toolkit.synthetic_rooms.vocabulary import CLASS_IDS
-from toolkit.synthetic_rooms.writer import DEPTH_SCALE
+from toolkit.datasets.synthetic_rooms import atlas
+from toolkit.datasets.synthetic_rooms import textures as tx
+from toolkit.datasets.synthetic_rooms.layouts import LAYOUTS, build_parts
+from toolkit.datasets.synthetic_rooms.parts import Part
+from toolkit.datasets.synthetic_rooms.patches import box, plate
+from toolkit.datasets.synthetic_rooms.paths import hand_held_path, look_at
+from toolkit.datasets.synthetic_rooms.ray_casting import Scene
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
+from toolkit.datasets.synthetic_rooms.writer import DEPTH_SCALE
 
 CAMERA = Camera(100.0, 100.0, 63.5, 47.5, 128, 96)
 NO_LAMPS = np.array([[0.0, 0.0, 3.0]])

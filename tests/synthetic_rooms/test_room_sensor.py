@@ -7,8 +7,8 @@ import pytest
 
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
-from toolkit.synthetic_rooms.ray_casting import RayCastView
-from toolkit.synthetic_rooms.sensor import Sensor, SensorModel
+from toolkit.datasets.synthetic_rooms.ray_casting import RayCastView
+from toolkit.datasets.synthetic_rooms.sensor import Sensor, SensorModel
 
 CAMERA = Camera(100.0, 100.0, 79.5, 59.5, 160, 120)
 EFFECTS = [effect.name for effect in fields(SensorModel)]

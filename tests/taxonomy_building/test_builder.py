@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from benchmarks.baseline_trees import alphabetical_taxonomy, random_taxonomy
 from toolkit.base.errors import FormatError
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
 from toolkit.semantics.taxonomy_building.shapes import GivenShapes
 from toolkit.semantics.taxonomy_building.vocabulary import built_in
 from toolkit.semantics.taxonomy_parsing import folded
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 WORDS = [entry.word for entry in built_in()]
 LISTS = Path(__file__).resolve().parents[2] / "benchmarks" / "data"

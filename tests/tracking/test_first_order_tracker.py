@@ -26,6 +26,7 @@ from toolkit.base.errors import SettingsError
 from toolkit.base.exposure import IDENTITY
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.codes import binary_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.mapping.options import MapperOptions
@@ -38,7 +39,6 @@ from toolkit.splatting.alignment.pose_adam import pose_gradient
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.losses.tracking_loss import PRESETS, TrackingLoss, tracking_loss
 from toolkit.splatting.rendering import backend
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 BOTH = pytest.mark.parametrize("preset", sorted(PRESETS))
 

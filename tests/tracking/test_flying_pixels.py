@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from toolkit.base.native import available_instruction_sets, load_variant
+from toolkit.datasets.synthetic_rooms.imperfections import with_flying_pixels
 from toolkit.slam.tracking import flying_pixels
 from toolkit.slam.tracking.depth_filter import denoised
 from toolkit.slam.tracking.flying_pixels import without_flying_pixels
-from toolkit.synthetic_rooms.imperfections import with_flying_pixels
 
 FOCAL = 260.0
 SHAPE = (60, 80)

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolkit.base.geometry import se3
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.slam.tracking.given import GivenPoses
 from toolkit.slam.tracking.guided import GuidedTracker
 from toolkit.splatting.gaussians.cloud import GaussianCloud
-from toolkit.synthetic_rooms import tiny_room
 
 
 @settings(max_examples=5, deadline=None)

@@ -12,9 +12,9 @@ from toolkit.exports.free_space import FreeSpace, free_space
 from toolkit.exports.options import GridOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.runs.maps.visibility import KeyframeViews
-from toolkit.semantics.scene_graph.rooms import RoomOptions
-from toolkit.semantics.scene_graph.storey_rooms import StoreyRooms, numbered_rooms
-from toolkit.semantics.scene_graph.storeys import Floors
+from toolkit.scene.graph.rooms import RoomOptions
+from toolkit.scene.graph.storey_rooms import StoreyRooms, numbered_rooms
+from toolkit.scene.graph.storeys import Floors
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from toolkit.base.geometry import se3
 from toolkit.exports.options import GridOptions
 from toolkit.exports.selection import SelectedGaussians, floors_of
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, write_occupancy_grid
-from toolkit.semantics.scene_graph.boxes import Ground
-from toolkit.semantics.scene_graph.storeys import Floors
+from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.storeys import Floors
 
 # Discs of this many standard deviations cover a surface without gaps between Gaussians.
 _DISC_SIGMAS = 1.5

@@ -15,10 +15,10 @@ from toolkit.exports.options import GridOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from toolkit.runs.maps.visibility import KeyframeViews
-from toolkit.semantics.scene_graph.boxes import Ground
-from toolkit.semantics.scene_graph.roles import ENCLOSING_NAMES
-from toolkit.semantics.scene_graph.rooms import RoomMap, RoomOptions, closed, find_rooms, free_floor
-from toolkit.semantics.scene_graph.scene import WALL_NAMES
+from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.roles import ENCLOSING_NAMES
+from toolkit.scene.graph.rooms import RoomMap, RoomOptions, closed, find_rooms, free_floor
+from toolkit.scene.graph.scene import WALL_NAMES
 
 Mask = NDArray[np.bool_]
 

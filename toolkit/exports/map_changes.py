@@ -10,7 +10,7 @@ from toolkit.base.geometry import se3
 from toolkit.exports.mapped_scene import MappedScene
 from toolkit.runs.maps.finished import FinishedRun
 from toolkit.runs.maps.visibility import KeyframeViews
-from toolkit.semantics.scene_graph.changes import ComparedObject, MapChanges, Seen, compare_objects
+from toolkit.scene.graph.changes import ComparedObject, MapChanges, Seen, compare_objects
 
 
 def changes_between(

@@ -15,19 +15,19 @@ from toolkit.exports.floors import required_floors
 from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.runs.maps.visibility import KeyframeViews, keyframe_views
-from toolkit.semantics.colour_names import colour_name
-from toolkit.semantics.options import ObjectOptions
-from toolkit.semantics.query import (
+from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.paths import FreePath, NoPathError, PathFinder, Place
+from toolkit.scene.graph.relations import Relation, RelationOptions, relations
+from toolkit.scene.graph.roles import Roles
+from toolkit.scene.graph.rooms import RoomOptions
+from toolkit.scene.graph.scene import SceneReader
+from toolkit.scene.query import (
     FLOOR_NAMES,
     LabelledMap,
     SceneObject,
 )
-from toolkit.semantics.scene_graph.boxes import Ground
-from toolkit.semantics.scene_graph.paths import FreePath, NoPathError, PathFinder, Place
-from toolkit.semantics.scene_graph.relations import Relation, RelationOptions, relations
-from toolkit.semantics.scene_graph.roles import Roles
-from toolkit.semantics.scene_graph.rooms import RoomOptions
-from toolkit.semantics.scene_graph.scene import SceneReader
+from toolkit.semantics.colour_names import colour_name
+from toolkit.semantics.options import ObjectOptions
 
 # A keyframe sees an object if it sees this share of its points and this number of them.
 _SEEN_SHARE, _SEEN_POINTS, _SAMPLES = 0.2, 3, 64

@@ -17,8 +17,7 @@ from toolkit.exports.options import GridOptions, ObjectGraphOptions, PlanOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.images import write_png
 from toolkit.io.occupancy import OccupancyGrid
-from toolkit.semantics.palette import Palette
-from toolkit.semantics.scene_graph.floor_plan import (
+from toolkit.scene.graph.floor_plan import (
     PlanDrawing,
     PlanEdge,
     PlanNode,
@@ -26,7 +25,8 @@ from toolkit.semantics.scene_graph.floor_plan import (
     floor_plans,
     total_areas,
 )
-from toolkit.semantics.scene_graph.paths import FreePath
+from toolkit.scene.graph.paths import FreePath
+from toolkit.semantics.palette import Palette
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.atomic import write_bytes
 from toolkit.io.graphs import graph_bytes
-from toolkit.semantics.scene_graph.storey_rooms import add_storeys, graph_edge, graph_frame
+from toolkit.scene.graph.storey_rooms import add_storeys, graph_edge, graph_frame
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from toolkit.io.splat_labels import INSTANCE, SplatLabels, instances_in
 from toolkit.io.splats import read_splats
 from toolkit.runs.maps.finished import FinishedRun, load_run
 from toolkit.runs.maps.labelled import load_labelled_run
-from toolkit.semantics.query import FLOOR_NAMES, LabelledMap
-from toolkit.semantics.scene_graph.boxes import Ground
-from toolkit.semantics.scene_graph.storeys import Floors, Storeys
+from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.storeys import Floors, Storeys
+from toolkit.scene.query import FLOOR_NAMES, LabelledMap
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 

@@ -17,7 +17,7 @@ from toolkit.io.meshes import TriangleMesh
 from toolkit.io.splat_placement import SplatScene
 from toolkit.io.splats import export_splat_scene
 from toolkit.runs.maps.meshing import MeshOptions, part_mesh, surface_mesh
-from toolkit.semantics.scene_graph.boxes import Ground
+from toolkit.scene.graph.boxes import Ground
 from toolkit.semantics.taxonomy import VOID
 
 # glTF has y up and z forward; without a known floor, the first camera is assumed to be level.

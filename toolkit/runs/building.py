@@ -15,18 +15,18 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.image_side import up_side
 from toolkit.runs.modes import FrontEndParts, mode_of
 from toolkit.runs.settings import RunSettings
+from toolkit.scene.growing.growing import GrowingScene
+from toolkit.scene.growing.listener import SceneListener
+from toolkit.scene.instances.factory import build_instances, may_ignore_masks
+from toolkit.scene.instances.ignoring import IgnoredMasks, IgnoredTexts
+from toolkit.scene.instances.listener import InstanceListener
+from toolkit.scene.instances.tracking import InstanceTracker
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.features.factory import build_differentiable_describer
 from toolkit.semantics.features.sources import ViewDescriber
 from toolkit.semantics.labeller import Labeller
 from toolkit.semantics.taxonomy_building.factory import build_labeller
 from toolkit.slam.frame_preparation import FrameSources
-from toolkit.slam.growing_scene.growing import GrowingScene
-from toolkit.slam.growing_scene.listener import SceneListener
-from toolkit.slam.instances.factory import build_instances, may_ignore_masks
-from toolkit.slam.instances.ignoring import IgnoredMasks, IgnoredTexts
-from toolkit.slam.instances.listener import InstanceListener
-from toolkit.slam.instances.tracking import InstanceTracker
 from toolkit.slam.listeners import MapListener
 from toolkit.slam.loops.closing.factory import ClosingContext
 from toolkit.slam.mapping.mapper import Mapper

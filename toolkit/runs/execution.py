@@ -15,6 +15,7 @@ from toolkit.datasets.base import Dataset, RecordedDataset
 from toolkit.datasets.faults import fault_tolerant
 from toolkit.datasets.prefetch import prefetched
 from toolkit.datasets.samples import spread_frames
+from toolkit.datasets.synthetic_rooms import RoomSettings, make_room
 from toolkit.depth.depth_priors.factory import build_provider
 from toolkit.depth.monocular.scale import check_scale
 from toolkit.runs.building import build_slam
@@ -43,7 +44,6 @@ from toolkit.semantics.decoder import check_reader
 from toolkit.slam.pacing.delays import PaceSummary, count_of, delay_statistics
 from toolkit.slam.pacing.paced import PacedSlam
 from toolkit.slam.system import Slam
-from toolkit.synthetic_rooms import RoomSettings, make_room
 
 _log = logging.getLogger(__name__)
 

@@ -23,10 +23,10 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.maps.map_files import splat_labels
 from toolkit.runs.settings import load_stored_settings
 from toolkit.runs.snapshots import watch
+from toolkit.scene.growing.growing import GrowingScene
+from toolkit.scene.growing.snapshot import Snapshot, snapshot_content
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam.growing_scene.growing import GrowingScene
-from toolkit.slam.growing_scene.snapshot import Snapshot, snapshot_content
 from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
 from toolkit.slam.submaps.store import SubmapStore
 from toolkit.splatting.gaussians.cloud import PARAMETERS, GaussianCloud

@@ -23,9 +23,7 @@ from toolkit.runs.evaluation.submap_graph import (
     submap_links,
 )
 from toolkit.runs.maps.splat_clouds import cloud_of
-from toolkit.semantics.palette import Palette
-from toolkit.semantics.query import LabelledMap
-from toolkit.semantics.scene_graph.floor_plan import (
+from toolkit.scene.graph.floor_plan import (
     PlanDrawing,
     PlanEdge,
     PlanNode,
@@ -33,6 +31,8 @@ from toolkit.semantics.scene_graph.floor_plan import (
     floor_plans,
     total_areas,
 )
+from toolkit.scene.query import LabelledMap
+from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.loops.log import read_loop_log
 from toolkit.slam.result import SlamResult, SubmapSummary

@@ -34,9 +34,9 @@ from toolkit.runs.report_pictures import (
     submap_graph,
 )
 from toolkit.runs.settings import dump_settings
+from toolkit.scene.growing.listener import scene_graph_of
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam.growing_scene.listener import scene_graph_of
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.pacing.delays import DelaySummary
 from toolkit.splatting.gaussians.scene import GaussianScene

@@ -45,10 +45,10 @@ from toolkit.runs.scoring import (
     semantic_evaluation,
 )
 from toolkit.runs.settings import RunSettings
-from toolkit.semantics.query import FLOOR_NAMES
-from toolkit.semantics.scene_graph.storey_rooms import graph_frame
-from toolkit.slam.growing_scene.listener import scene_graph_of
-from toolkit.slam.instances.listener import instances_of
+from toolkit.scene.graph.storey_rooms import graph_frame
+from toolkit.scene.growing.listener import scene_graph_of
+from toolkit.scene.instances.listener import instances_of
+from toolkit.scene.query import FLOOR_NAMES
 from toolkit.slam.mapping.consensus import LabelAgreement
 from toolkit.slam.result import SlamResult
 from toolkit.splatting.gaussians.scene import GaussianScene, HalfPrecisionScene

@@ -25,9 +25,9 @@ from toolkit.depth.depth_priors.options import DepthPriorOptions
 from toolkit.depth.monocular.options import ScaleOptions
 from toolkit.io.guarded.documents import read_yaml
 from toolkit.runs.evaluation.options import EvaluationOptions
+from toolkit.scene.growing.options import GrowingSceneOptions
+from toolkit.scene.instances.options import InstanceOptions
 from toolkit.semantics.options import SegmenterOptions, SemanticsOptions
-from toolkit.slam.growing_scene.options import GrowingSceneOptions
-from toolkit.slam.instances.options import InstanceOptions
 from toolkit.slam.loops.closing.options import LoopClosureOptions
 from toolkit.slam.loops.registration.options import RegistrationOptions
 from toolkit.slam.mapping.options import MapperOptions

@@ -27,7 +27,7 @@ from toolkit.io.images import small_image
 from toolkit.runs.checkpoints import CHECKPOINT_FORMAT
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.observers import ObservedRun
-from toolkit.slam.growing_scene.listener import SCENE
+from toolkit.scene.growing.listener import SCENE
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.system import Slam
 from toolkit.splatting.gaussians.cloud import PARAMETERS

@@ -1,7 +1,7 @@
 """What things are: taxonomies, labels, their code in a map, and questions about them.
 
 Knows: taxonomies and trees, codes and decoders of labels, `segmenters`, `features` (descriptors of
-images), `taxonomy_building`, `lexicon`, and `scene_graph` (objects, relations, rooms, storeys).
-In: images, label images, a map with codes. Out: labels, objects, answers.
-For others: `taxonomy.Taxonomy`, `labeller`, `query.LabelledMap`, `features`, `factory`.
+images), `taxonomy_building`, `lexicon`.
+In: images, label images, features of Gaussians. Out: labels and trees of them.
+For others: `taxonomy.Taxonomy`, `labeller`, `features`, `factory`.
 """

@@ -16,6 +16,7 @@ from toolkit.base.pose_graph.graph import PoseEdge
 from toolkit.base.pose_graph.noise import LoopNoise, OdometryNoise
 from toolkit.base.pose_graph.options import PoseGraphOptions
 from toolkit.base.pose_graph.retraction import PoseGraphOptimiser
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.semantics.features.builtin import BuiltinEncoder
 from toolkit.semantics.features.sources import ViewDescriber
 from toolkit.slam.loops.candidates import CandidateFinder
@@ -42,7 +43,6 @@ from toolkit.slam.submaps.options import AllocationOptions
 from toolkit.slam.tracking.reach import Reach
 from toolkit.splatting.alignment.data import ResidualScales
 from toolkit.splatting.alignment.matching import Offset
-from toolkit.synthetic_rooms import tiny_room
 
 FEW = MapperOptions(iterations=1, first_iterations=2, final_iterations=1)
 EAGER = CandidateOptions(

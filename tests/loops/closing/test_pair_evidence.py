@@ -11,12 +11,12 @@ import pytest
 
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.slam.loops.closing import pair_matching
 from toolkit.slam.loops.closing.log_entries import pair_values
 from toolkit.slam.loops.closing.options import PairOptions
 from toolkit.slam.loops.closing.pair_matching import PairMatcher, VerifiedPair
 from toolkit.slam.tracking.rolling_shutter import as_exposed
-from toolkit.synthetic_rooms import tiny_room
 
 
 @pytest.fixture(scope="module")

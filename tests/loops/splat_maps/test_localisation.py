@@ -7,6 +7,7 @@ import pytest
 
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.slam.loops.options import RelocalisationOptions
 from toolkit.slam.loops.splat_maps.localisation import LocatedFrame, SplatMapLocaliser
 from toolkit.slam.loops.splat_maps.views import virtual_keyframe
@@ -15,7 +16,6 @@ from toolkit.slam.mapping.options import MapperOptions
 from toolkit.slam.tracking.dense import DenseTracker
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.rendering import backend
-from toolkit.synthetic_rooms import tiny_room
 
 FACTOR = 1.7
 

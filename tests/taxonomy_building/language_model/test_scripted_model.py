@@ -16,6 +16,7 @@ from benchmarks.scripted_model import (
     ScriptedModel,
     scripted_tree,
 )
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import build_taxonomy
 from toolkit.semantics.taxonomy_building.language_model.chat import NoModelError
@@ -26,7 +27,6 @@ from toolkit.semantics.taxonomy_building.language_model.exchanges import (
 from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
 from toolkit.semantics.taxonomy_building.shapes import GivenShapes
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 REPAIRS = "toolkit.semantics.taxonomy_building.repairs"
 

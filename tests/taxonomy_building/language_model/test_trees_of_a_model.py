@@ -11,6 +11,7 @@ from test_language_model import CLASSES, INJECTIONS, LIES
 
 from benchmarks.chat_server import Behaviour, Response, fails
 from toolkit.base.errors import SettingsError
+from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.semantics.taxonomy_building.language_model.chat import ChatModel, NoModelError
@@ -20,7 +21,6 @@ from toolkit.semantics.taxonomy_building.language_model.exchanges import (
     ReplayedModel,
 )
 from toolkit.semantics.taxonomy_building.language_model.grouper import LanguageModelGrouper
-from toolkit.synthetic_rooms.vocabulary import CLASS_NAMES
 
 OBJECTS = Path(__file__).resolve().parents[3] / "benchmarks/data/objects_200.txt"
 

@@ -32,7 +32,7 @@ from toolkit.runs.evaluation.trajectory import (
     AlignmentKind,
     absolute_trajectory_error,
 )
-from toolkit.semantics.scene_graph.floor_plan import ClassArea
+from toolkit.scene.graph.floor_plan import ClassArea
 
 # Limit the size of a report with six views to a few MB.
 _MAX_IMAGE_WIDTH = 640

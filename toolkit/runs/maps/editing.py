@@ -14,8 +14,8 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.io.splats import read_splats
 from toolkit.runs.maps.labelled import LabelledRun
-from toolkit.semantics.query import FLOOR_NAMES
-from toolkit.semantics.scene_graph.boxes import Ground, floor_area_m2
+from toolkit.scene.graph.boxes import Ground, floor_area_m2
+from toolkit.scene.query import FLOOR_NAMES
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.rendering import RenderOptions, SurfaceView, backend, render_surface
 

@@ -11,12 +11,12 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.maps.map_files import object_values
 from toolkit.runs.maps.object_embedding import collected
 from toolkit.runs.maps.splat_clouds import cloud_of
+from toolkit.scene.graph.boxes import oriented_box
+from toolkit.scene.instances.result import InstanceMap
+from toolkit.scene.query import LabelledMap
 from toolkit.semantics.embedding_fusion import FusedEmbedding
 from toolkit.semantics.options import ObjectOptions
-from toolkit.semantics.query import LabelledMap
-from toolkit.semantics.scene_graph.boxes import oriented_box
 from toolkit.semantics.taxonomy import VOID, Taxonomy
-from toolkit.slam.instances.result import InstanceMap
 
 # Name of the model in `objects.npz` if the masks do not name it.
 UNNAMED = "masks"

@@ -13,8 +13,8 @@ from toolkit.base.errors import FormatError, RunFolderError, ToolkitError
 from toolkit.io.label_files import label_file_of
 from toolkit.io.splats import Splats, read_splats
 from toolkit.runs.maps.finished import FinishedRun, load_run
+from toolkit.scene.query import LabelledMap, check_labels
 from toolkit.semantics.lexicon.matching import Match, selected_nodes
-from toolkit.semantics.query import LabelledMap, check_labels
 from toolkit.semantics.taxonomy import VOID_NAME, Taxonomy
 
 TAXONOMY = "taxonomy.yaml"

@@ -9,10 +9,10 @@ from toolkit.base.errors import FormatError
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.runs.folder import MapPart
 from toolkit.runs.settings import RunSettings
+from toolkit.scene.instances.listener import instances_of
+from toolkit.scene.instances.result import InstanceMap
 from toolkit.semantics.decoding import Decoding
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam.instances.listener import instances_of
-from toolkit.slam.instances.result import InstanceMap
 from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import SlamResult
 from toolkit.splatting.gaussians.scene import GaussianScene, InMemoryScene

@@ -13,10 +13,10 @@ from toolkit.io.splat_labels import INSTANCE, SplatLabels
 from toolkit.runs.maps.finished import FinishedRun
 from toolkit.runs.maps.map_files import splat_labels
 from toolkit.runs.maps.saved_objects import load_objects
+from toolkit.scene.instances.result import InstanceMap
+from toolkit.scene.instances.saved import SavedObjects, joined
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.slam.instances.result import InstanceMap
-from toolkit.slam.instances.saved import SavedObjects, joined
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.slam.refinement.fusion import FusedMap, fuse_submaps
 from toolkit.slam.submaps.store import SavedSubmaps

@@ -22,8 +22,8 @@ from toolkit.io.visualisation import colour_image
 from toolkit.runs.evaluation.run_metrics import TrackedFrame
 from toolkit.runs.maps.finished import FinishedRun
 from toolkit.runs.maps.labelled import LabelledRun
+from toolkit.scene.query import SceneObject
 from toolkit.semantics.embedding_fusion import FusedEmbedding, fuse_views, view_weights
-from toolkit.semantics.query import SceneObject
 from toolkit.semantics.taxonomy import VOID
 from toolkit.splatting.rendering import backend, render_surface
 

@@ -20,8 +20,8 @@ from toolkit.runs.maps.saved_objects import load_objects
 from toolkit.runs.maps.splat_map import open_splat_map, summary
 from toolkit.runs.modes import mode_of
 from toolkit.runs.settings import RunSettings
-from toolkit.slam.instances.listener import InstanceListener
-from toolkit.slam.instances.saved import SavedObjects
+from toolkit.scene.instances.listener import InstanceListener
+from toolkit.scene.instances.saved import SavedObjects
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.submaps.submap import Submap
 from toolkit.slam.system import Slam

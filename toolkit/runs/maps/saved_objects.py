@@ -14,9 +14,9 @@ from toolkit.io.splat_labels import instances_in
 from toolkit.io.splats import read_splats
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.maps.instance_files import UNNAMED
+from toolkit.scene.instances.result import MapObject
+from toolkit.scene.instances.saved import SavedObjects
 from toolkit.semantics.embedding_fusion import FusedEmbedding
-from toolkit.slam.instances.result import MapObject
-from toolkit.slam.instances.saved import SavedObjects
 
 _log = logging.getLogger(__name__)
 

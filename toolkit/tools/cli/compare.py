@@ -17,7 +17,7 @@ from toolkit.io.atomic import utf8, write_text
 from toolkit.runs.evaluation.comparison import render_comparison, setting_rows
 from toolkit.runs.maps.comparing import compared_run
 from toolkit.runs.maps.registering import relative_pose
-from toolkit.semantics.scene_graph.changes import MapChanges
+from toolkit.scene.graph.changes import MapChanges
 from toolkit.tools.cli.programs import CompareOptions
 
 

@@ -10,10 +10,10 @@ from toolkit.base.errors import RunFolderError, SettingsError
 from toolkit.io.object_embeddings import OBJECTS, write_objects
 from toolkit.runs.maps.labelled import load_labelled_run
 from toolkit.runs.maps.object_embedding import EmbeddingOptions, embed_objects
+from toolkit.scene.graph.scene import SceneReader
 from toolkit.semantics.features.pretrained.text_image import TextImageEncoder
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.product_quantisation import compress
-from toolkit.semantics.scene_graph.scene import SceneReader
 from toolkit.tools.cli.map_programs import EmbedObjectsOptions
 
 _log = logging.getLogger(__name__)

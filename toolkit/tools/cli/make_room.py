@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from tqdm import tqdm
 
 from toolkit.base.frame import Frame
+from toolkit.datasets.synthetic_rooms import RoomSettings, SensorModel, make_room
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
-from toolkit.synthetic_rooms import RoomSettings, SensorModel, make_room
 from toolkit.tools.cli.programs import MakeRoomOptions
 
 

@@ -21,10 +21,10 @@ from toolkit.runs.highlights import Marker, highlighted_view
 from toolkit.runs.maps.finished import load_run
 from toolkit.runs.maps.labelled import LabelledRun, label, load_labelled_run
 from toolkit.runs.maps.meshing import MeshOptions, part_mesh, write_opaque_points
+from toolkit.scene.graph.scene import SceneReader
+from toolkit.scene.query import FLOOR_NAMES
 from toolkit.semantics.lexicon.matching import match
 from toolkit.semantics.options import ObjectOptions
-from toolkit.semantics.query import FLOOR_NAMES
-from toolkit.semantics.scene_graph.scene import SceneReader
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.tools.cli.programs import QueryProgram
 from toolkit.tools.cli.similar_objects import ranking_lines, rankings

@@ -15,8 +15,8 @@ from toolkit.io.guarded.arrays import read_array
 from toolkit.io.images import read_rgb
 from toolkit.io.object_embeddings import OBJECTS, ObjectEmbeddings, read_objects
 from toolkit.io.visualisation import colour_image
+from toolkit.scene.object_search import rank_objects
 from toolkit.semantics.lexicon.matching import check_query
-from toolkit.semantics.object_search import rank_objects
 from toolkit.semantics.taxonomy import VOID, Taxonomy
 from toolkit.tools.cli.programs import QueryProgram
 

@@ -24,10 +24,10 @@ from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.selection import select
 from toolkit.runs.maps.registering import relative_pose
+from toolkit.scene.graph.measures import free_width_m, surface_distance
+from toolkit.scene.graph.paths import Place
 from toolkit.semantics.colour_names import COLOUR_NAMES
 from toolkit.semantics.lexicon.matching import match
-from toolkit.semantics.scene_graph.measures import free_width_m, surface_distance
-from toolkit.semantics.scene_graph.paths import Place
 from toolkit.tools.serving.options import EarlierRun
 from toolkit.tools.serving.served_run import NotAvailableError, ServedRun
 

@@ -26,9 +26,9 @@ from toolkit.io.length_names import LengthNames
 from toolkit.io.visualisation import colour_image
 from toolkit.runs.evaluation.run_metrics import TrackedFrame
 from toolkit.runs.maps.finished import FinishedRun
+from toolkit.scene.graph.scene import SceneReader
 from toolkit.semantics.options import ObjectOptions
 from toolkit.semantics.palette import Palette
-from toolkit.semantics.scene_graph.scene import SceneReader
 from toolkit.splatting.rendering import RenderOptions, SurfaceView, backend, render_surface
 from toolkit.tools.serving.requests import QueryParameters, RenderRequest, pose_values
 

@@ -21,7 +21,7 @@ from toolkit.runs.folder import MapPart, RunFolder
 from toolkit.runs.maps.instance_files import write_instances
 from toolkit.runs.maps.map_files import splat_labels
 from toolkit.runs.maps.saved_objects import load_objects
-from toolkit.slam.instances.result import InstanceMap
+from toolkit.scene.instances.result import InstanceMap
 from toolkit.slam.refinement.fusion import FusedMap, fuse_submaps, single_submap
 
 Array = NDArray[np.float64]
