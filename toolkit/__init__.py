@@ -10,13 +10,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from toolkit.base.threads import allow_forks, limit_waiting
-from toolkit.base.version import __version__
+from toolkit.base.version import __version__ as __version__
 
 __all__ = [
     "Camera",
     "Frame",
     "RunSettings",
-    "__version__",
     "build_slam",
     "evaluate",
     "load_run",

@@ -57,15 +57,15 @@ def changes(drawn: list[tuple[Path, Mutant]]) -> list[tuple[Path, int, str]]:
 
 
 def test_the_sample_depends_on_the_seed_alone() -> None:
-    drawn = sample(Options("alignment", count=10))
+    drawn = sample(Options("splatting/alignment", count=10))
     assert len(drawn) == 10
-    assert changes(drawn) == changes(sample(Options("alignment", count=10)))
-    assert changes(drawn) != changes(sample(Options("alignment", count=10, seed=1)))
+    assert changes(drawn) == changes(sample(Options("splatting/alignment", count=10)))
+    assert changes(drawn) != changes(sample(Options("splatting/alignment", count=10, seed=1)))
     name, line, change = changes(drawn)[0]
     only = (f"{name.relative_to('toolkit')}:{line}",)
-    chosen = changes(sample(Options("alignment", count=10, only=only)))
+    chosen = changes(sample(Options("splatting/alignment", count=10, only=only)))
     assert (name, line, change) in chosen and {row[:2] for row in chosen} == {(name, line)}
-    without = sample(Options("alignment", count=0, exclude=("cuda", "joint.py")))
+    without = sample(Options("splatting/alignment", count=0, exclude=("cuda", "joint.py")))
     assert {"toolkit/splatting/alignment/data.py"} < {str(name) for name, _ in without}
     assert not any("cuda" in name.parts or name.name == "joint.py" for name, _ in without)
     with pytest.raises(ValueError, match="toolkit/nothing is no Python package"):
