@@ -1,6 +1,6 @@
 """Mutation testing: small changes of a package's code that its tests do not notice.
 
-    python -m benchmarks.mutations alignment --count 25 --seed 0
+    python -m benchmarks.mutations splatting/alignment --count 25 --seed 0
 
 Each mutant differs from the code in one place: a comparison, a term or sign of a sum, a factor of
 a product, an `and`, or a numeric constant of the module. Mutants are tested in temporary copies of
@@ -41,7 +41,7 @@ class Options:
     """Change the code of a package in one place at a time and run its tests."""
 
     target: Annotated[str, tyro.conf.Positional]
-    """A package of the toolkit such as `alignment`, or a file such as `alignment/joint.py`."""
+    """A package of the toolkit such as `splatting/alignment`, or a file of it."""
     count: int = 25
     """Number of mutants, drawn at random from all; 0 for all."""
     seed: int = 0
@@ -55,7 +55,7 @@ class Options:
     exclude: tuple[str, ...] = ()
     """Files and folders of the package to leave out, such as `cuda`, before mutants are drawn."""
     only: tuple[str, ...] = ()
-    """Of the drawn mutants, those in these lines, such as `alignment/joint.py:35`."""
+    """Of the drawn mutants, those in these lines, such as `splatting/alignment/joint.py:35`."""
 
 
 def sample(options: Options) -> list[tuple[Path, Mutant]]:
