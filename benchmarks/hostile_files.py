@@ -45,8 +45,8 @@ _NOW = "now"
 class Options(ReportOptions):
     """Give damaged and hostile files to the readers of an earlier commit and of this one."""
 
-    commit: str = "1a8233b1"
-    """The earlier commit; empty for this one only."""
+    commit: str = ""
+    """The earlier commit, since toolkit has rooms; empty for this one only."""
     crafted: int = 1317
     """Number of crafted files."""
     mutated: int = 1140
@@ -90,8 +90,14 @@ def main() -> None:
 
 @contextmanager
 def _tree(commit: str) -> Iterator[Path]:
-    """A tree of an earlier commit with this one's benchmarks."""
+    """A tree of an earlier commit with this one's benchmarks.
+
+    Raises:
+        SystemExit: its readers have other names than those that the benchmarks import.
+    """
     with earlier_tree(commit) as tree:
+        if not (tree / "toolkit/datasets/readers").is_dir():
+            raise SystemExit(f"--commit: {commit} is older than the rooms of toolkit")
         shutil.rmtree(tree / "benchmarks")
         shutil.copytree(ROOT / "benchmarks", tree / "benchmarks")
         yield tree

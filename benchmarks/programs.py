@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import configparser
 import os
 import subprocess
 import sys
@@ -34,13 +35,21 @@ def semsplat_of(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]
     """Execute a program of a source tree to its end, whatever its status."""
     return subprocess.run(
         # -P: the current folder would be searched first for modules.
-        [sys.executable, "-P", "-m", "toolkit.tools.cli.main", *arguments],
+        [sys.executable, "-P", "-m", _program(tree), *arguments],
         cwd=tree,
         env={**os.environ, "PYTHONPATH": str(tree)},
         capture_output=True,
         text=True,
         check=False,
     )
+
+
+def _program(tree: Path) -> str:
+    """The module of the command in a source tree, whose packages may have other names."""
+    settings = configparser.ConfigParser()
+    settings.read(tree / "setup.cfg", encoding="utf-8")
+    script = settings["options.entry_points"]["console_scripts"]
+    return script.partition("=")[2].partition(":")[0].strip()
 
 
 def start_semsplat(*arguments: str) -> subprocess.Popen[str]:

@@ -25,6 +25,7 @@ from toolkit.semantics.factory import build_code
 from toolkit.semantics.features.factory import build_differentiable_describer
 from toolkit.semantics.features.sources import ViewDescriber
 from toolkit.semantics.labeller import Labeller
+from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.factory import build_labeller
 from toolkit.slam.frame_preparation import FrameSources
 from toolkit.slam.listeners import MapListener
@@ -94,6 +95,19 @@ def build_slam(
     # A dataset ignores what moves with the camera itself.
     watches = dataset is None and settings.dataset.ignore_carrier
     sources = replace(sources, watches_carrier=watches)
+    listeners = _build_listeners(settings, taxonomy, instances, recorder)
+    slam = Slam(front_end, mapper, atlas, sources, recorder, listeners)
+    slam.up_side = up_side(settings.dataset)
+    return slam
+
+
+def _build_listeners(
+    settings: RunSettings,
+    taxonomy: Taxonomy | None,
+    instances: InstanceTracker | None,
+    recorder: StageRecorder,
+) -> list[MapListener]:
+    """What follows the keyframes of a run: its objects, and the graph of its scene."""
     listeners: list[MapListener] = []
     if instances is not None:
         listeners.append(InstanceListener(instances, recorder))
@@ -104,9 +118,7 @@ def build_slam(
                 "segmenter with --segmenter.kind"
             )
         listeners.append(SceneListener(GrowingScene(taxonomy, instances), recorder))
-    slam = Slam(front_end, mapper, atlas, sources, recorder, listeners)
-    slam.up_side = up_side(settings.dataset)
-    return slam
+    return listeners
 
 
 def refinement_describer(settings: RunSettings) -> ViewDescriber | None:

@@ -27,7 +27,7 @@ from toolkit.io.images import small_image
 from toolkit.runs.checkpoints import CHECKPOINT_FORMAT
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.observers import ObservedRun
-from toolkit.scene.growing.listener import SCENE
+from toolkit.scene.growing.listener import SceneListener
 from toolkit.slam.result import FrameResult, SlamResult
 from toolkit.slam.system import Slam
 from toolkit.splatting.gaussians.cloud import PARAMETERS
@@ -173,7 +173,7 @@ class SnapshotWriter:
                 "lost_frames": list(path.lost_frames.items()),
             },
         }
-        scene = slam.listener(SCENE)
+        scene = slam.listener(SceneListener.name)
         if scene is not None:
             own, values["scene"] = scene.state()
             joined = JoinedArrays.join(own)

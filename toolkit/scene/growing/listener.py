@@ -14,13 +14,11 @@ from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import SlamResult
 from toolkit.slam.submaps.atlas import Atlas
 
-SCENE = "scene"
-
 
 class SceneListener:
     """Tells a scene about the keyframes of a run; see `MapListener`."""
 
-    name = SCENE
+    name = "scene"
 
     def __init__(self, scene: GrowingScene, recorder: Recorder) -> None:
         self.scene, self._recorder = scene, recorder
@@ -54,4 +52,4 @@ class SceneListener:
 
 def scene_graph_of(result: SlamResult) -> dict[str, Any] | None:
     """The graph that grew with the map, in node-link format; None without one."""
-    return cast("dict[str, Any] | None", result.heard.get(SCENE))
+    return cast("dict[str, Any] | None", result.heard.get(SceneListener.name))

@@ -16,13 +16,11 @@ from toolkit.slam.refinement.fusion import FusedMap
 from toolkit.slam.result import SlamResult
 from toolkit.slam.submaps.atlas import Atlas
 
-_NAME = "instances"
-
 
 class InstanceListener:
     """Tells a tracker of objects about the keyframes of a run; see `MapListener`."""
 
-    name = _NAME
+    name = "instances"
 
     def __init__(self, tracker: InstanceTracker, recorder: Recorder) -> None:
         self.tracker, self._recorder = tracker, recorder
@@ -57,4 +55,4 @@ class InstanceListener:
 
 def instances_of(result: SlamResult) -> InstanceMap | None:
     """The objects of a finished map; None for a run without instances."""
-    return cast("InstanceMap | None", result.heard.get(_NAME))
+    return cast("InstanceMap | None", result.heard.get(InstanceListener.name))

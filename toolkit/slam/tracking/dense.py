@@ -28,13 +28,13 @@ from toolkit.slam.tracking.judgement import judged
 from toolkit.slam.tracking.landmarks import Landmarks
 from toolkit.slam.tracking.moving import MovingTracker
 from toolkit.slam.tracking.options import DenseOptions
+from toolkit.slam.tracking.plausibility import is_reached, unless_implausible
 from toolkit.slam.tracking.prepared import PreparedFrames
 from toolkit.slam.tracking.proposals import Proposals
 from toolkit.slam.tracking.reach import (
     REPEATS,
     Reach,
     by_evidence,
-    contradicted,
     doubted,
     likeliest,
     unless_contradicted,
@@ -74,8 +74,6 @@ _EXPECTED, _SAME = 0.015, 0.004
 _SURE_COVERED, _PROOFS = 0.25, 2
 # Number of pyramid levels aligned from poses that are accurate to a few pixels.
 _FINE_LEVELS = 2
-
-_TOO_FAR = "the camera cannot have moved so far"
 
 # First level of the search over rotations: half the resolution, as that of its view of the map.
 _SEARCH_LEVEL = 1
@@ -166,18 +164,8 @@ class DenseTracker(MovingTracker):
         result = self.locate(
             frame, gaussians, *starts, proposals=proposals, features=features, reach=reach
         )
-        bound = self.motion.bound(frame.timestamp_s)
-        if not result.lost and bound is not None and not bound.contains(result.T_map_camera):
-            result = contradicted(result, _TOO_FAR)
-        if self.motion.has_restarted() and not result.lost:
-            # No motion before tells whether the first one of a part is likely.
-            result = doubted(result, unexpected_reason(result.similarity))
-            if not _reached(result, reach):
-                result = contradicted(result, _TOO_FAR)
-        # After a gap, nothing but this frame tells where the camera went, and doors are alike.
-        gone = features is None and not result.lost
-        if gone and self.motion.has_moved_on(frame.timestamp_s, result.T_map_camera):
-            result = contradicted(result, "after a gap, the camera may be at a similar place")
+        followed = features is not None
+        result = unless_implausible(result, self.motion, frame.timestamp_s, reach, followed)
         proofs = self._proofs_after(result, reach)
         if result.health is Health.GOOD and proofs > 0:
             result = doubted(result, "after doubtful frames, this one alone is not enough evidence")
@@ -207,7 +195,7 @@ class DenseTracker(MovingTracker):
         if result.health is not Health.GOOD:
             return _PROOFS if result.ambiguous else max(1, self._proofs)
         # In a periodic view, the motion since an ambiguous frame may be one by a period.
-        possible = not self._ambiguous or _reached(result, reach)
+        possible = not self._ambiguous or is_reached(result, reach)
         clear = possible and is_clear(result.similarity, _SURE_COVERED)
         return max(self._proofs - int(clear), 0)
 
@@ -274,7 +262,7 @@ class DenseTracker(MovingTracker):
     @staticmethod
     def _suffices(result: TrackingResult, reach: Reach | None) -> bool:
         """Whether an alignment from the features' pose needs none from the predicted one."""
-        return _reached(result, reach) and (result.ambiguous or result.health is Health.GOOD)
+        return is_reached(result, reach) and (result.ambiguous or result.health is Health.GOOD)
 
     def _is_expected(
         self, task: Task, result: TrackingResult, T_expected: NDArray[np.float64]
@@ -416,11 +404,6 @@ class DenseTracker(MovingTracker):
             similarity=judgement.similarity,
             T_by_features=None if task.features is None else task.features.T_map_camera,
         )
-
-
-def _reached(result: TrackingResult, reach: Reach | None) -> bool:
-    """Whether the camera can be at a pose; it can if nothing is known."""
-    return reach is None or reach.contains(result.T_map_camera)
 
 
 def _is_clear(result: TrackingResult) -> bool:

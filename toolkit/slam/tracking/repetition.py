@@ -37,6 +37,8 @@ def repetitions(task: Task, view: RenderedView, T_map_camera: Array, reach: Reac
         T_map_camera: [4, 4] of the frame.
     """
     frame = _Comparison.of(task, view, T_map_camera, reach)
+    if frame is None:
+        return []
     shifts = frame.metres_per_px * frame.periods_px(frame.shown)
     poses = (T_map_camera @ se3.exp(np.array([x, y, 0.0, 0.0, 0.0, 0.0])) for x, y in shifts)
     return [T for T in poses if reach.contains(T)][:_MOST]
@@ -50,6 +52,8 @@ def repeats_beyond(task: Task, view: RenderedView, T_map_camera: Array, reach: R
         T_map_camera: [4, 4] of the frame.
     """
     frame = _Comparison.of(task, view, T_map_camera, reach)
+    if frame is None:
+        return False
     height, width = frame.size
     known = cv2.boxFilter(frame.known, -1, (width, height), anchor=(0, 0))
     top, left = frame.corner
@@ -74,17 +78,19 @@ class _Comparison:
     most_px: int
 
     @classmethod
-    def of(cls, task: Task, view: RenderedView, T_map_camera: Array, reach: Reach) -> _Comparison:
-        """At the pose [4, 4] of the frame."""
+    def of(
+        cls, task: Task, view: RenderedView, T_map_camera: Array, reach: Reach
+    ) -> _Comparison | None:
+        """At the pose [4, 4] of the frame; None if the camera cannot move by a period."""
         narrow = [k for k, frame in enumerate(task.levels) if frame.camera.width <= _WIDTH]
         level = narrow[0] if narrow else len(task.levels) - 1
         frame, model = task.levels[level], view.levels[level]
         metres_per_px = task.prepared.median_depth_m / frame.camera.fx
         motion = se3.inverse(reach.T_map_camera) @ T_map_camera
         most_px = int((reach.metres + np.linalg.norm(motion[:3, 3])) / metres_per_px)
-        own, depth_m = frame.intensity.cpu().numpy(), frame.depth_m.cpu().numpy()
         if most_px <= _AROUND_PX:
-            return cls(own, own, np.ones_like(own), metres_per_px, most_px)
+            return None
+        own, depth_m = frame.intensity.cpu().numpy(), frame.depth_m.cpu().numpy()
         T_view_camera = se3.inverse(view.T_map_view) @ T_map_camera
         _, view_m, shown = sampled(model, frame.camera, depth_m, T_view_camera)
         return cls(own, shown, (view_m > 0).astype(np.float32), metres_per_px, most_px)
@@ -104,7 +110,7 @@ class _Comparison:
         """Shifts [N, 2] at which an image [H, W] looks like the middle, too, the smallest first."""
         (top, left), (height, width) = self.corner, self.size
         part = np.ascontiguousarray(self.own[top : top + height, left : left + width])
-        if self.most_px <= _AROUND_PX or float(part.std()) < MIN_CONTRAST:
+        if float(part.std()) < MIN_CONTRAST:
             return np.zeros((0, 2))
         similar = cv2.matchTemplate(image, part, cv2.TM_CCOEFF_NORMED)
         highest = cv2.dilate(similar, np.ones((2 * _AROUND_PX + 1, 2 * _AROUND_PX + 1), np.uint8))
