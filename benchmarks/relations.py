@@ -164,7 +164,7 @@ def _of_classes(relations: set[Pair], truth: TrueRelations) -> set[Pair]:
 
 def matched(scene: MappedScene, number: int, truth: TrueRelations) -> int | None:
     """The true object of an object of the map; None if most of its points are at none."""
-    points_m = scene.points_m(number) + scene.selection.run.origin_m
+    points_m = scene.objects[number].points_m + scene.selection.run.origin_m
     points_m = points_m[:: max(1, len(points_m) // _SAMPLES)]
     name = scene.objects[number].node.name
     same = [one for one in truth.objects.values() if one.name == name]

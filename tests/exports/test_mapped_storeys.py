@@ -24,7 +24,7 @@ from toolkit.runs.report_pictures import report_floor_plan
 from toolkit.scene.graph.boxes import Ground
 from toolkit.scene.graph.paths import NoPathError
 from toolkit.scene.graph.storeys import Floors, Storeys
-from toolkit.tools.viewer.shown_objects import shown_objects
+from toolkit.tools.viewer.shown_objects import graph_objects
 
 OPTIONS = ObjectGraphOptions(link_m=0.2, min_gaussians=20)
 
@@ -48,7 +48,7 @@ def numbers(scene: MappedScene, name: str) -> list[int]:
 def test_rooms_of_storeys_do_not_mix_and_are_numbered_by_first_visit(scene):
     rooms = scene.building.rooms
     assert [storey for storey, _ in rooms.order] == [0, 1, 1, 0]
-    described = [scene.describe_room(k) for k in range(len(rooms))]
+    described = [scene.building.describe(k) for k in range(len(rooms))]
     assert [room["area_m2"] for room in described] == pytest.approx(AREAS_M2, rel=0.15)
     assert [door.rooms for door in rooms.doors] == [(0, 3), (1, 2)]
     assert all(0.5 < door.width_m < DOOR_M for door in rooms.doors)
@@ -114,7 +114,7 @@ def test_each_storey_has_a_plan_and_a_branch_of_the_tree(scene, house, tmp_path)
     floor_m2 = next(area.area_m2 for area in plan.areas if area.name == "floor")
     assert floor_m2 == pytest.approx(2 * 8.0 * 5.0, rel=0.1)
     assert len(plan.objects) == 4
-    shown = [(one.storey, one.room) for one in shown_objects(scene)]
+    shown = [(one.storey, one.room) for one in graph_objects(scene_graph(scene).content)]
     assert shown == sorted(shown) and {storey for storey, _ in shown} == {"storey 1", "storey 2"}
 
 
@@ -137,4 +137,4 @@ def test_one_storey_has_no_further_level(tmp_path):
     assert {node["kind"] for node in content["nodes"]} == {"object", "structure", "room"}
     assert len(content["graph"]["storeys_m"]) == 1
     assert {node["storey"] for node in content["nodes"]} == {1}
-    assert {one.storey for one in shown_objects(scene)} == {""}
+    assert {one.storey for one in graph_objects(scene_graph(scene).content)} == {""}

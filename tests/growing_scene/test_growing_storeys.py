@@ -15,9 +15,9 @@ from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
 from toolkit.scene.graph.boxes import Ground
 from toolkit.scene.graph.relations import Relation
+from toolkit.scene.graph.scene_relations import SceneRelations
 from toolkit.scene.graph.storeys import Floors, Storeys
 from toolkit.scene.growing.growing import GrowingScene
-from toolkit.scene.growing.live_relations import LiveRelations
 from toolkit.scene.growing.rooms import GrowingBuilding
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -83,7 +83,7 @@ def test_objects_face_those_of_their_storey():
     # The lower table is nearer to the front of the chair, seen from above.
     points = {1: table(0.5, 0.8), 2: chair(0.9, 0.0) + up, 3: table(0.5, 1.6) + up}
     floors = Floors(Ground(np.array([0.0, 0.0, 1.0]), 0.0), Storeys([0.0, STOREY_M]))
-    live = LiveRelations(points.__getitem__)
+    live = SceneRelations(points.__getitem__)
     for number in points:
         live.changed(number, "object")
     live.update(floors, np.zeros((0, 3)))

@@ -9,7 +9,7 @@ import pytest
 
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.results import write_scene_graph
-from toolkit.scene.graph.storey_rooms import graph_edge
+from toolkit.scene.graph.node_link import graph_edge
 
 CONTENT = {
     "directed": True,

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from labelled_room import T_MAP_ROOM
 
-from toolkit.scene.graph.changes import ComparedObject, Seen, compare_objects
+from toolkit.scene.graph.boxes import OrientedBox
+from toolkit.scene.graph.changes import Seen, compare_objects
+from toolkit.scene.query import SceneObject
+from toolkit.semantics.taxonomy import Node
 
 CLEAR, HIDDEN, FILLED = Seen(1.0, 1.0), Seen(0.0, 0.0), Seen(1.0, 0.0)
 
@@ -16,7 +21,9 @@ def item(name: str, x: float, y: float = 0.0, size: float = 0.5, number: int = 0
     corner = np.array([x, y, 0])
     points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3) + corner
     centre = corner + size / 2
-    return ComparedObject(number, ("things", name), points, centre, np.full(3, size))
+    box = OrientedBox(centre, np.eye(3), np.full(3, size), True)
+    node = Node(name, ("things", name), 1, 0, (1,), True)
+    return SceneObject(node, np.arange(len(points)), points, 1.0, box, number=number)
 
 
 def kinds(found) -> set[tuple[str, str]]:
@@ -42,7 +49,7 @@ def test_what_nobody_looked_at_is_unknown():
     before, after = [item("ball", 5)], [item("box", 6)]
     found = compare_objects(before, after, always(HIDDEN), always(HIDDEN))
     assert not found.changes and found.unchanged == 0
-    assert [o.path[-1] for o in found.unknown] == ["ball", "box"]
+    assert [o.node.name for o in found.unknown] == ["ball", "box"]
 
 
 def test_a_place_with_a_surface_still_holds_its_object():
@@ -66,7 +73,9 @@ def test_pieces_of_one_object_are_not_changes():
     bed = item("bed", 0, size=2)
     near = bed.points_m[:, 0] < 1.0
     parts = [
-        ComparedObject(k, bed.path, bed.points_m[m], bed.centre_m, bed.size_m / 2)
+        replace(
+            bed, points_m=bed.points_m[m], box=replace(bed.box, size_m=bed.box.size_m / 2), number=k
+        )
         for k, m in enumerate((near, ~near))
     ]
     assert not compare_objects([bed], parts, always(CLEAR), always(CLEAR)).changes
@@ -81,6 +90,6 @@ def test_sizes_must_agree_for_a_move():
 def test_changes_follow_a_change_of_the_frame():
     found = compare_objects([item("ball", 5)], [], always(CLEAR), always(CLEAR))
     there = found.transformed(T_MAP_ROOM)
-    expected = T_MAP_ROOM[:3, :3] @ found.changes[0].before.centre_m + T_MAP_ROOM[:3, 3]
-    np.testing.assert_allclose(there.changes[0].before.centre_m, expected)
+    expected = T_MAP_ROOM[:3, :3] @ found.changes[0].before.box.centre_m + T_MAP_ROOM[:3, 3]
+    np.testing.assert_allclose(there.changes[0].before.box.centre_m, expected)
     assert str(there.changes[0]).startswith("gone   ball  at (")

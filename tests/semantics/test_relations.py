@@ -8,7 +8,9 @@ from labelled_room import T_MAP_ROOM, sheet, table
 
 from toolkit.base.geometry import se3
 from toolkit.scene.graph.boxes import Ground
-from toolkit.scene.graph.relations import RelationOptions, relations
+from toolkit.scene.graph.relations import Relation, RelationOptions
+from toolkit.scene.graph.scene_relations import SceneRelations
+from toolkit.scene.graph.storeys import Floors, Storeys
 
 GROUND = Ground(T_MAP_ROOM[:3, 2], float(T_MAP_ROOM[:3, 3] @ T_MAP_ROOM[:3, 2]))
 TABLE_TOP_M = 0.75
@@ -27,14 +29,23 @@ def box(x: float, y: float, z: float, size: float, lid: bool = True) -> np.ndarr
     return np.concatenate([*sides, sheet((x, y, z + size), a, b, 0.02)] if lid else sides)
 
 
+def related_bodies(points, roles, options=None, cameras_m=None) -> list[Relation]:
+    """Relations between bodies by their numbers."""
+    related = SceneRelations(points.__getitem__, options)
+    for number, role in enumerate(roles):
+        related.changed(number, role)
+    floors = Floors(GROUND, Storeys([GROUND.height_m]))
+    related.update(floors, np.zeros((0, 3)) if cameras_m is None else cameras_m)
+    return related.relations()
+
+
 def found(options: RelationOptions | None = None, **bodies: np.ndarray) -> set[tuple]:
     """Relations by name; bodies called floor or wall have that role."""
     names = list(bodies)
     roles = [name if name in ("floor", "wall") else "object" for name in names]
     points = [se3.transform_points(T_MAP_ROOM, body) for body in bodies.values()]
     return {
-        (names[r.source], r.kind, names[r.target])
-        for r in relations(points, GROUND, roles, options)
+        (names[r.source], r.kind, names[r.target]) for r in related_bodies(points, roles, options)
     }
 
 
@@ -139,7 +150,7 @@ def test_screens_face_the_side_from_which_they_are_seen(camera_y, faces):
     bodies = [FLOOR, table(1.5, 1.0), screen]
     points = [se3.transform_points(T_MAP_ROOM, body) for body in bodies]
     camera = se3.transform_points(T_MAP_ROOM, np.array([[2.0, camera_y, 1.5]]))
-    related = relations(points, GROUND, ["floor", "object", "object"], None, camera)
+    related = related_bodies(points, ["floor", "object", "object"], None, camera)
     assert any(r.kind == "facing" and (r.source, r.target) == (2, 1) for r in related) == faces
 
 
@@ -149,7 +160,7 @@ def test_pictures_face_away_from_their_wall_wherever_it_is_seen_from():
     before, behind = table(1.5, 1.0), table(1.5, -2.0)
     points = [se3.transform_points(T_MAP_ROOM, b) for b in (FLOOR, wall, picture, before, behind)]
     camera = se3.transform_points(T_MAP_ROOM, np.array([[2.0, -2.5, 1.5]]))
-    related = relations(points, GROUND, ["floor", "wall", *["object"] * 3], None, camera)
+    related = related_bodies(points, ["floor", "wall", *["object"] * 3], None, camera)
     assert {r.target for r in related if r.source == 2 and r.kind == "facing"} == {3}
 
 
@@ -231,7 +242,7 @@ def test_a_screen_does_not_face_the_cabinet_below_it():
     points = [se3.transform_points(T_MAP_ROOM, b) for b in (FLOOR, screen, cabinet, sofa)]
     camera = se3.transform_points(T_MAP_ROOM, np.array([[2.0, 2.5, 1.5]]))
     roles = ["floor", "object", "object", "object"]
-    related = relations(points, GROUND, roles, None, camera)
+    related = related_bodies(points, roles, None, camera)
     assert {(r.source, r.kind, r.target) for r in related if r.source == 1} == {
         (1, "above", 2),
         (1, "facing", 3),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,10 @@ class Building:
         return self.rooms.shares(
             points_m, storeys, self.floors, lambda storey, own: self.spaces[storey].rooms_of(own)
         )
+
+    def describe(self, number: int) -> dict[str, Any]:
+        """Return area, place and doors of a room as JSON values."""
+        return self.rooms.describe(number, self.spaces[0].grid.cell_m, self.point)
 
     def point(self, storey: int, cell: tuple[int, int]) -> Array:
         """Return the point [3] on the floor of a storey at the centre of a cell."""

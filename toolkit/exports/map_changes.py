@@ -10,7 +10,8 @@ from toolkit.base.geometry import se3
 from toolkit.exports.mapped_scene import MappedScene
 from toolkit.runs.maps.finished import FinishedRun
 from toolkit.runs.maps.visibility import KeyframeViews
-from toolkit.scene.graph.changes import ComparedObject, MapChanges, Seen, compare_objects
+from toolkit.scene.graph.changes import MapChanges, Seen, compare_objects
+from toolkit.scene.query import SceneObject
 
 
 def changes_between(
@@ -50,15 +51,9 @@ def require_metres(*runs: FinishedRun) -> None:
             )
 
 
-def _objects(scene: MappedScene, T: NDArray[np.float64]) -> list[ComparedObject]:
+def _objects(scene: MappedScene, T: NDArray[np.float64]) -> list[SceneObject]:
     """Return the objects that are in rooms, moved by a rigid motion [4, 4]."""
-    return [
-        ComparedObject(
-            number, found.node.path, scene.points_m(number), found.box.centre_m, found.box.size_m
-        ).moved(T)
-        for number, found in enumerate(scene.objects)
-        if not scene.enclosing[number]
-    ]
+    return [one.moved(T) for one in scene.objects if not scene.enclosing[one.number]]
 
 
 def _seen(views: KeyframeViews, points_m: NDArray[np.float64]) -> Seen:

@@ -16,11 +16,13 @@ from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.runs.maps.visibility import KeyframeViews, keyframe_views
 from toolkit.scene.graph.boxes import Ground
+from toolkit.scene.graph.node_link import rooms_of_object
 from toolkit.scene.graph.paths import FreePath, NoPathError, PathFinder, Place
-from toolkit.scene.graph.relations import Relation, RelationOptions, relations
+from toolkit.scene.graph.relations import Relation, RelationOptions
 from toolkit.scene.graph.roles import Roles
 from toolkit.scene.graph.rooms import RoomOptions
 from toolkit.scene.graph.scene import SceneReader
+from toolkit.scene.graph.scene_relations import SceneRelations
 from toolkit.scene.query import (
     FLOOR_NAMES,
     LabelledMap,
@@ -31,9 +33,6 @@ from toolkit.semantics.options import ObjectOptions
 
 # A keyframe sees an object if it sees this share of its points and this number of them.
 _SEEN_SHARE, _SEEN_POINTS, _SAMPLES = 0.2, 3, 64
-# What encloses rooms is part of each room that contains this share of it.
-_PART_SHARE = 0.05
-_DECIMALS = 4
 
 
 @dataclass(frozen=True)
@@ -69,23 +68,21 @@ class MappedScene:
         """Plane of the floor, of the lowest storey."""
         return self.building.floors.ground
 
-    def points_m(self, number: int) -> NDArray[np.float64]:
-        """Return the centres [n, 3] of the Gaussians of an object."""
-        return self.map.means_m[self.objects[number].index]
-
     def rooms_of(self, number: int) -> list[int]:
         """Return the indices of the rooms of an object: one, or all that it encloses."""
-        shares = self.building.rooms_of(self.points_m(number), self.storeys[number])
-        if self.enclosing[number]:
-            return sorted(room for room, share in shares.items() if share >= _PART_SHARE)
-        return [max(shares, key=lambda k: shares[k])] if shares else []
+        return rooms_of_object(
+            self.building,
+            self.objects[number].points_m,
+            self.storeys[number],
+            self.enclosing[number],
+        )
 
     def place(self, number: int) -> Place:
         """Return an object as the end of a path, which is in its room."""
         rooms, storey = self.rooms_of(number), self.storeys[number][0]
         within = np.isin(self.building.rooms.numbers_of(storey), rooms) if rooms else None
         name = f"{self.objects[number].node.name} {number}"
-        footprint = self.building.spaces[storey].grid.mask_of(self.points_m(number))
+        footprint = self.building.spaces[storey].grid.mask_of(self.objects[number].points_m)
         return Place(name, footprint, within, storey)
 
     def place_at(self, point_m: NDArray[np.float64], name: str) -> Place:
@@ -126,11 +123,6 @@ class MappedScene:
             **self._seen[number],
         }
 
-    def describe_room(self, number: int) -> dict[str, Any]:
-        """Return area, place and doors of a room as JSON values."""
-        cell_m = self.building.spaces[0].grid.cell_m
-        return self.building.rooms.describe(number, cell_m, self.building.point)
-
     @cached_property
     def _finders(self) -> list[PathFinder]:
         return [PathFinder(space.grid) for space in self.building.spaces]
@@ -149,9 +141,7 @@ class MappedScene:
     @cached_property
     def _seen(self) -> list[dict[str, Any]]:
         """First and last keyframe that see each object, and their number."""
-        samples = [
-            self.points_m(k)[:: max(1, len(o) // _SAMPLES)] for k, o in enumerate(self.objects)
-        ]
+        samples = [o.points_m[:: max(1, len(o) // _SAMPLES)] for o in self.objects]
         owner = np.repeat(np.arange(len(samples)), [len(s) for s in samples])
         sizes = np.bincount(owner, minlength=len(samples))
         seen = np.zeros((len(self.views), len(samples)), bool)
@@ -184,34 +174,23 @@ def map_scene(
     objects = labelled.objects(None, floors.ground, object_options)
     known = Roles(labelled.taxonomy, floor or FLOOR_NAMES)
     roles = [known.of(found.node.path) for found in objects]
-    points_m = [labelled.means_m[found.index] for found in objects]
-    storeys = [
-        floors.of_object(points, known.kind(found.node.path))
-        for points, found in zip(points_m, objects, strict=True)
-    ]
+    storeys = [floors.of_object(found.points_m, known.kind(found.node.path)) for found in objects]
     grid = grid or GridOptions()
     views = keyframe_views(selection.run)
     building = find_building(selection, floors, views, grid, RoomOptions(options.max_door_m))
     cameras_m = np.array([f.T_map_camera[:3, 3] for f in selection.run.tracked]).reshape(-1, 3)
     relation_options = RelationOptions(options.contact_m, options.next_to_m, options.facing_m)
-    related = []
-    for storey in range(len(floors.storeys)):
-        own = [number for number, reached in enumerate(storeys) if storey in reached]
-        found = relations(
-            [points_m[number] for number in own],
-            floors.of(storey),
-            [roles[number] for number in own],
-            relation_options,
-            cameras_m,
-        )
-        related += [Relation(own[r.source], own[r.target], r.kind) for r in found]
+    related = SceneRelations(lambda k: objects[k].points_m, relation_options)
+    for number, role in enumerate(roles):
+        related.changed(number, role)
+    related.update(floors, cameras_m)
     return MappedScene(
         selection,
         labelled,
         objects,
         [role != "object" for role in roles],
         storeys,
-        list(dict.fromkeys(related)),  # structures that reach into several storeys
+        related.relations(),
         building,
         views,
         floor or FLOOR_NAMES,

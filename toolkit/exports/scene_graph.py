@@ -16,7 +16,7 @@ from toolkit.exports.options import GridOptions, ObjectGraphOptions
 from toolkit.exports.selection import SelectedGaussians
 from toolkit.io.atomic import write_bytes
 from toolkit.io.graphs import graph_bytes
-from toolkit.scene.graph.storey_rooms import add_storeys, graph_edge, graph_frame
+from toolkit.scene.graph.node_link import in_frame, scene_content
 
 
 @dataclass(frozen=True)
@@ -51,42 +51,17 @@ def export_scene_graph(
 
 def scene_graph(scene: MappedScene) -> SceneGraph:
     """Return the graph of a scene: objects are numbered from 0, rooms and storeys behind them."""
-    run, ground, count = scene.selection.run, scene.ground, len(scene.objects)
-    building, storeys = scene.building, scene.building.floors.storeys
     nodes = [
         {"id": k, "kind": "structure" if scene.enclosing[k] else "object", **scene.describe(k)}
-        for k in range(count)
+        for k in range(len(scene.objects))
     ]
-    rooms = [
-        {"id": count + k, "kind": "room", **scene.describe_room(k)}
-        for k in range(len(building.rooms))
-    ]
-    edges = [graph_edge(r.source, r.target, r.kind) for r in scene.relations]
-    edges += [
-        graph_edge(k, count + room, "part of" if scene.enclosing[k] else "in")
-        for k in range(count)
-        for room in scene.rooms_of(k)
-    ]
-    edges += [
-        {
-            **graph_edge(count + door.rooms[0], count + door.rooms[1], "connected to"),
-            "width_m": round(door.width_m, 2),
-        }
-        for door in building.rooms.doors
-    ]
-    taxonomy = scene.map.taxonomy
-    content = {
-        "directed": True,
-        "multigraph": True,
-        "graph": {
-            **graph_frame(run.metric, run.origin_m.tolist()),
-            "up": ground.up.round(6).tolist(),
-            "floor_height_m": round(ground.height_m, 4),
-            "storeys_m": [round(height_m, 3) for height_m in storeys.heights_m],
-            "taxonomy": {"name": taxonomy.name, "digest": taxonomy.digest},
-        },
-        "nodes": [*nodes, *rooms],
-        "edges": edges,
-    }
-    add_storeys(content, storeys)
-    return SceneGraph(content)
+    content = scene_content(
+        nodes,
+        scene.relations,
+        scene.building,
+        scene.ground,
+        scene.building.floors.storeys,
+        scene.map.taxonomy,
+    )
+    run = scene.selection.run
+    return SceneGraph(in_frame(content, run.metric, run.origin_m.tolist()))

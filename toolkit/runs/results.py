@@ -45,7 +45,7 @@ from toolkit.runs.scoring import (
     semantic_evaluation,
 )
 from toolkit.runs.settings import RunSettings
-from toolkit.scene.graph.storey_rooms import graph_frame
+from toolkit.scene.graph.node_link import in_frame
 from toolkit.scene.growing.listener import scene_graph_of
 from toolkit.scene.instances.listener import instances_of
 from toolkit.scene.query import FLOOR_NAMES
@@ -176,8 +176,7 @@ def write_scene_graph(
             ", ".join(FLOOR_NAMES),
         )
         return
-    frame = graph_frame(metric, origins.get("origin_m", [0.0, 0.0, 0.0]))
-    content = content | {"graph": frame | content["graph"]}
+    content = in_frame(content, metric, origins.get("origin_m", [0.0, 0.0, 0.0]))
     for suffix in (".json", ".jsonld", ".graphml"):
         write_bytes(folder.scene_graph.with_suffix(suffix), graph_bytes(content, suffix))
 

@@ -7,12 +7,13 @@ group of a Gaussian can be known while its class is not.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.base.errors import FormatError
+from toolkit.base.geometry import se3
 from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.scene.graph.boxes import Ground, OrientedBox, oriented_box
@@ -52,16 +53,25 @@ class SceneObject:
     Attributes:
         node: class or group of the object.
         index: [n] indices of its Gaussians.
+        points_m: [n, 3] centres of these.
         confidence: mean confidence of its Gaussians, in [0, 1].
         box: bounding box of their centres.
         instance: its number in a map with instances, 0 if it was found by connection.
+        number: its place among the objects of the map.
     """
 
     node: Node
     index: NDArray[np.intp]
+    points_m: Array
     confidence: float
     box: OrientedBox
     instance: int = 0
+    number: int = 0
+
+    def moved(self, T: Array) -> SceneObject:
+        """Return the object moved by a rigid motion [4, 4]."""
+        points_m = se3.transform_points(T, self.points_m)
+        return replace(self, points_m=points_m, box=self.box.moved(T))
 
     def __len__(self) -> int:
         """Number of Gaussians."""
@@ -198,7 +208,8 @@ class LabelledMap:
         for kind in np.unique(kinds[kinds >= 0]):
             index = np.flatnonzero(kinds == kind)
             found += self._connected(int(kind), self.pieces(index, options), ground)
-        return sorted(found, key=lambda o: (-len(o), o.index[0]))
+        found = sorted(found, key=lambda o: (-len(o), o.index[0]))
+        return [replace(one, number=number) for number, one in enumerate(found)]
 
     def _instances(
         self, kinds: NDArray[np.int32], ground: Ground | None, options: ObjectOptions
@@ -250,8 +261,9 @@ class LabelledMap:
         self, kind: int, index: NDArray[np.intp], ground: Ground | None, instance: int = 0
     ) -> SceneObject:
         confidence = float(self.labels.confidence[index].mean())
-        box = oriented_box(self.means_m[index], ground)
-        return SceneObject(self.taxonomy.nodes[kind], index, confidence, box, instance)
+        points_m = self.means_m[index]
+        box = oriented_box(points_m, ground)
+        return SceneObject(self.taxonomy.nodes[kind], index, points_m, confidence, box, instance)
 
     def pieces(self, index: NDArray[np.intp], options: ObjectOptions) -> list[NDArray[np.intp]]:
         """Return the connected components of some Gaussians, without noise."""

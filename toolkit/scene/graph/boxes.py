@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -38,6 +38,11 @@ class OrientedBox:
     axes: Array
     size_m: Array
     upright: bool
+
+    def moved(self, T: Array) -> OrientedBox:
+        """Return the box and its ground plane moved by a rigid motion [4, 4]."""
+        centre_m = T[:3, :3] @ self.centre_m + T[:3, 3]
+        return replace(self, centre_m=centre_m, axes=T[:3, :3] @ self.axes)
 
     def contains(self, point_m: Array, margin_m: float = 0.0) -> bool:
         """Whether a point [3] is inside, or outside by at most a margin along each axis."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from toolkit.base.geometry import se3
+from toolkit.scene.query import SceneObject
 
 Array = NDArray[np.float64]
 ChangeKind = Literal["moved", "new", "gone"]
@@ -47,32 +47,6 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class ComparedObject:
-    """An object of one of two maps, in the frame of both.
-
-    Attributes:
-        number: its number in its map.
-        path: its class.
-        points_m: [n, 3] centres of its Gaussians.
-        centre_m: [3] centre of its box.
-        size_m: [3] size of its box.
-    """
-
-    number: int
-    path: tuple[str, ...]
-    points_m: Array
-    centre_m: Array
-    size_m: Array
-
-    def moved(self, T: Array) -> ComparedObject:
-        """Return the object moved by a rigid motion [4, 4]."""
-        points_m, centre_m = (
-            se3.transform_points(T, places) for places in (self.points_m, self.centre_m[None])
-        )
-        return ComparedObject(self.number, self.path, points_m, centre_m[0], self.size_m)
-
-
-@dataclass(frozen=True)
 class Change:
     """One changed object.
 
@@ -83,21 +57,21 @@ class Change:
     """
 
     kind: ChangeKind
-    before: ComparedObject | None
-    after: ComparedObject | None
+    before: SceneObject | None
+    after: SceneObject | None
 
     @property
     def name(self) -> str:
         """Class of the object."""
         known = self.before or self.after
         assert known is not None
-        return known.path[-1]
+        return known.node.name
 
     def __str__(self) -> str:
         text = f"{self.kind:5}  {self.name}"
         for preposition, found in (("from", self.before), ("to", self.after)):
             if found is not None:
-                x, y, z = found.centre_m
+                x, y, z = found.box.centre_m
                 word = preposition if self.kind == "moved" else "at"
                 text += f"  {word} ({x:.2f}, {y:.2f}, {z:.2f})"
         return text
@@ -110,11 +84,11 @@ class Change:
             if found is not None:
                 values[key] = {
                     "object": found.number,
-                    "centre_m": found.centre_m.round(3).tolist(),
-                    "size_m": found.size_m.round(3).tolist(),
+                    "centre_m": found.box.centre_m.round(3).tolist(),
+                    "size_m": found.box.size_m.round(3).tolist(),
                 }
         if self.before is not None and self.after is not None:
-            offset_m = float(np.linalg.norm(self.after.centre_m - self.before.centre_m))
+            offset_m = float(np.linalg.norm(self.after.box.centre_m - self.before.box.centre_m))
             values["distance_m"] = round(offset_m, 3)
         return values
 
@@ -131,7 +105,7 @@ class MapChanges:
 
     changes: list[Change]
     unchanged: int
-    unknown: list[ComparedObject]
+    unknown: list[SceneObject]
 
     def transformed(self, T: Array) -> MapChanges:
         """Return the changes in another frame, moved by a rigid motion [4, 4]."""
@@ -154,8 +128,8 @@ SeenBy = Callable[[Array], Seen]
 
 
 def compare_objects(
-    before: Sequence[ComparedObject],
-    after: Sequence[ComparedObject],
+    before: Sequence[SceneObject],
+    after: Sequence[SceneObject],
     seen_before: SeenBy,
     seen_after: SeenBy,
     min_move_m: float = 0.15,
@@ -194,7 +168,7 @@ def compare_objects(
 class _Absent:
     """An object that the other map does not have at its place."""
 
-    compared: ComparedObject
+    compared: SceneObject
     seen: Seen
 
     @property
@@ -207,20 +181,20 @@ class _Absent:
 
 
 def _absent(
-    objects: Sequence[ComparedObject],
-    others: Sequence[ComparedObject],
+    objects: Sequence[SceneObject],
+    others: Sequence[SceneObject],
     seen: SeenBy,
     min_move_m: float,
 ) -> list[_Absent]:
     """Return the objects that are not in the other map, or only overlap with what moved there."""
     trees = {}
-    for path in {o.path for o in objects}:
-        same = [o.points_m for o in others if o.path == path]
+    for path in {o.node.path for o in objects}:
+        same = [o.points_m for o in others if o.node.path == path]
         trees[path] = KDTree(np.concatenate(same)) if same else None
     absent = []
     for item in objects:
         points_m = item.points_m[:: max(1, len(item.points_m) // _SAMPLES)]
-        tree = trees[item.path]
+        tree = trees[item.node.path]
         present = 0.0
         if tree is not None:
             present = float((tree.query(points_m)[0] <= _SAME_M).mean())
@@ -247,19 +221,19 @@ def _paired(lost: Sequence[_Absent], found: Sequence[_Absent]) -> list[tuple[int
     return [(int(a), int(b)) for a, b in zip(rows, columns, strict=True) if cost[a, b] < _FORBIDDEN]
 
 
-def _same_kind(a: ComparedObject, b: ComparedObject) -> bool:
-    if a.path != b.path:
+def _same_kind(a: SceneObject, b: SceneObject) -> bool:
+    if a.node.path != b.node.path:
         return False
-    one, other = np.sort(a.size_m), np.sort(b.size_m)
+    one, other = np.sort(a.box.size_m), np.sort(b.box.size_m)
     allowed = np.maximum(_SIZE_SHARE * np.maximum(one, other), _SIZE_M)
     return bool((np.abs(one - other) <= allowed).all())
 
 
-def _offset_m(a: ComparedObject, b: ComparedObject) -> float:
-    return float(np.linalg.norm(a.centre_m - b.centre_m))
+def _offset_m(a: SceneObject, b: SceneObject) -> float:
+    return float(np.linalg.norm(a.box.centre_m - b.box.centre_m))
 
 
-def _overlap(a: ComparedObject, b: ComparedObject) -> bool:
+def _overlap(a: SceneObject, b: SceneObject) -> bool:
     """Return whether the boxes of two objects along the axes of the map overlap."""
     low = np.maximum(a.points_m.min(axis=0), b.points_m.min(axis=0))
     high = np.minimum(a.points_m.max(axis=0), b.points_m.max(axis=0))

@@ -1,12 +1,7 @@
-"""Spatial relations between objects of a labelled map: on, in, next to, above, facing.
-
-The relations are geometric: they are derived from the Gaussians of the objects above the plane of
-the floor, and need no knowledge about classes.
-"""
+"""Rules of spatial relations between objects: on, in, next to, above, facing."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -15,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.scene.graph.bodies import Body
-from toolkit.scene.graph.boxes import Ground
-from toolkit.scene.graph.facing import front_of
 
 Array = NDArray[np.float64]
 RelationKind = Literal["on", "in", "next to", "above", "facing"]
@@ -27,6 +20,8 @@ Role = Literal["object", "opening", "wall", "floor"]
 _MIN_FACING = np.cos(np.radians(30.0))
 # Objects whose lowest part is higher above the floor hang at a wall and are not faced.
 MAX_FACED_M = 0.9
+# What supports or contains an object is at most this many times `contact_m` away.
+REACH_CONTACTS = 2
 # The wall around a panel within this distance is behind it.
 _BEHIND_M = 0.25
 
@@ -55,78 +50,6 @@ class RelationOptions:
     facing_m: float = 2.5
 
 
-def relations(
-    objects: Sequence[Array],
-    ground: Ground,
-    roles: Sequence[Role],
-    options: RelationOptions | None = None,
-    cameras_m: Array | None = None,
-) -> list[Relation]:
-    """Return the relations between objects.
-
-    An object is in another one that surrounds it, else on the one with points right below its
-    bottom, else on the floor around it, else on the wall that it hangs at. Objects are next to each
-    other if neither supports or contains the other and they are close; such pairs are reported
-    once. Walls and floors are neither on nor in anything. Objects can be next to walls, but not to
-    floors. An object is above the highest one below it that does not support it, and seats and
-    panels face the nearest object before them that is not of their own group.
-
-    Args:
-        objects: centres [n, 3] of the Gaussians of each object, in the frame of the map.
-        ground: plane of the floor.
-        roles: role of each object; ceilings count as floors.
-        options: options of the relations.
-        cameras_m: [P, 3] positions of the camera, which panels face that hang at no wall; without
-            them, these have no front.
-    """
-    options = options or RelationOptions()
-    bodies = [Body(points_m @ ground.axes) for points_m in objects]
-    supports = {
-        source: support(source, range(len(bodies)), bodies, roles, options)
-        for source in range(len(bodies))
-        if roles[source] in ("object", "opening")
-    }
-    vertical = [relation for own in supports.values() for relation in own]
-    linked = {frozenset((r.source, r.target)) for r in vertical}
-    pairs = itertools.combinations(range(len(bodies)), 2)
-    near = [
-        Relation(a, b, "next to")
-        for a, b in pairs
-        if frozenset((a, b)) not in linked
-        and may_be_near(roles[a], roles[b])
-        and bodies[a].near(bodies[b], options.next_to_m)
-    ]
-    things = [k for k, role in enumerate(roles) if role == "object"]
-    standing = {r.source for r in vertical if roles[r.target] != "wall"}
-    above = [
-        Relation(source, target, "above")
-        for source in things
-        if source not in standing
-        for target in [highest_below(source, things, bodies)]
-        if target is not None
-    ]
-    cameras = np.empty((0, 3)) if cameras_m is None else cameras_m @ ground.axes
-    floor = np.array([0.0, 0.0, ground.height_m])
-    groups = Groups([*vertical, *above], roles)
-    # What is in a shelf neither faces anything nor is faced: the shelf is.
-    contained = {r.source for r in vertical if r.kind == "in"}
-    free = [k for k in things if k not in contained]
-    walls = {k: wall_behind(bodies[k], supports[k], bodies, roles) for k in free}
-    fronts = {
-        k: front_of(bodies[k].points - floor, cameras - floor, walls[k] - floor) for k in free
-    }
-    facing = []
-    for source, front in fronts.items():
-        if front is None:
-            continue
-        others = [k for k in free if k != source and not groups.same(source, k)]
-        others = [k for k in others if bodies[k].bottom - ground.height_m <= MAX_FACED_M]
-        target = nearest_ahead(bodies[source], front, others, bodies, options.facing_m)
-        if target is not None:
-            facing.append(Relation(source, target, "facing"))
-    return [*vertical, *near, *above, *facing]
-
-
 def may_be_near(one: Role, other: Role) -> bool:
     """Return whether objects of two roles can be next to each other."""
     return "floor" not in (one, other) and "object" in (one, other)
@@ -149,7 +72,8 @@ def support(
         options: options of the relations.
     """
     body = bodies[source]
-    near = [k for k in others if k != source and not body.far(bodies[k], 2 * options.contact_m)]
+    reach_m = REACH_CONTACTS * options.contact_m
+    near = [k for k in others if k != source and not body.far(bodies[k], reach_m)]
     containers = [k for k in near if roles[k] == "object" and body.within(bodies[k])]
     if containers:
         # The smallest container; the others contain that one.

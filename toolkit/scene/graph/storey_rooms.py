@@ -1,4 +1,4 @@
-"""Rooms of all storeys, numbered together, and the storeys of a scene graph."""
+"""Rooms of all storeys, numbered together."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.scene.graph.rooms import Door, RoomMap
-from toolkit.scene.graph.storeys import Floors, Storeys
+from toolkit.scene.graph.storeys import Floors
 
 Array = NDArray[np.float64]
 
@@ -128,53 +128,3 @@ def numbered_rooms(maps: Sequence[RoomMap], visits: Sequence[NDArray[np.integer]
             for room, area_m2 in enumerate(rooms.areas_m2)
         ]
     return StoreyRooms(maps, [(storey, room) for _, _, storey, room in sorted(rows)])
-
-
-def add_storeys(content: dict[str, Any], storeys: Storeys) -> None:
-    """Add the storeys of a scene graph in node-link format, if there are several.
-
-    Rooms are part of storeys, and storeys of the building. What is in no room is in (or part of)
-    its storey. A graph of one storey stays as it is: its rooms need no further level.
-
-    Args:
-        content: the graph; objects and rooms have the number of their `storey`, from 1.
-        storeys: the storeys.
-    """
-    if len(storeys) == 1:
-        return
-    nodes, edges = content["nodes"], content["edges"]
-    rooms = [node for node in nodes if node["kind"] == "room"]
-    first, count = 1 + max(node["id"] for node in nodes), len(storeys)
-    for node in list(nodes):
-        if node["kind"] != "room" and node["rooms"]:
-            continue
-        kind = "in" if node["kind"] == "object" else "part of"
-        edges.append(graph_edge(node["id"], first + node["storey"] - 1, kind))
-    for number, height_m in enumerate(storeys.heights_m, 1):
-        own = [room for room in rooms if room["storey"] == number]
-        described = {
-            "id": first + number - 1,
-            "kind": "storey",
-            "name": f"storey {number}",
-            "number": number,
-            "floor_height_m": round(height_m, 3),
-            "area_m2": round(sum(room["area_m2"] for room in own), 2),
-            "rooms": [room["number"] for room in own],
-        }
-        edges.append(graph_edge(described["id"], first + count, "part of"))
-        nodes.append(described)
-    nodes.append({"id": first + count, "kind": "building", "name": "building", "storeys": count})
-
-
-def graph_frame(metric: bool, map_origin_m: Sequence[float]) -> dict[str, Any]:
-    """Return the frame of a graph: its unit of length, and its origin in given poses."""
-    return {
-        "frame": f"map of the run, {'metres' if metric else 'arbitrary units'}",
-        "metric": metric,
-        "map_origin_m": list(map_origin_m),
-    }
-
-
-def graph_edge(source: int, target: int, kind: str) -> dict[str, Any]:
-    """Return an edge in node-link format."""
-    return {"source": source, "target": target, "key": kind, "relation": kind}

@@ -14,9 +14,9 @@ from toolkit.scene.graph.bodies import Body
 from toolkit.scene.graph.boxes import Ground
 from toolkit.scene.graph.relations import RelationOptions, Role
 from toolkit.scene.graph.roles import Roles
+from toolkit.scene.graph.scene_relations import SceneRelations
 from toolkit.scene.graph.storeys import Floors, Storeys
 from toolkit.scene.growing.floors import fitted_floors, same_floors
-from toolkit.scene.growing.live_relations import LiveRelations
 from toolkit.scene.growing.objects import GrowingObject, thinned
 from toolkit.scene.growing.rooms import ViewFan, fan_of
 from toolkit.scene.growing.segments import (
@@ -41,6 +41,8 @@ Array = NDArray[np.float64]
 _SHARED, _MIN_VOXELS = 0.1, 4
 # Edge of the voxels that represent objects, in metres.
 VOXEL_M = 0.05
+# Number of points that suffice for relations.
+_OUTLINE_POINTS = 1500
 # Factor of the edge of voxels of walls, floors and openings, which are large.
 _COARSER = 2.0
 # Objects that only one of this many keyframes saw are errors of labels.
@@ -84,7 +86,7 @@ class GrowingScene:
         self.objects: dict[int, GrowingObject] = {}
         self._twins = Twins(self.objects, VOXEL_M)
         contact_m = RelationOptions.contact_m + VOXEL_M
-        self._live = LiveRelations(self._points, RelationOptions(contact_m))
+        self._live = SceneRelations(self._outline, RelationOptions(contact_m))
         self._poses: dict[int, Array] = {}
         self._fans: list[ViewFan] = []
         self._cameras: list[Array] = []  # positions of the first fans, until a pose changes
@@ -303,6 +305,10 @@ class GrowingScene:
 
     def _points(self, number: int) -> Array:
         return self.objects[number].points_m(self._poses)
+
+    def _outline(self, number: int) -> Array:
+        """Some points of an object, which suffice for its relations."""
+        return thinned(self._points(number), _OUTLINE_POINTS)
 
     def _cameras_m(self) -> Array:
         if not self._fans:

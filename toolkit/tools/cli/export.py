@@ -14,7 +14,7 @@ from toolkit.exports.floors import export_occupancy_grid
 from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.options import FOLDER_FORMATS
 from toolkit.exports.plans import export_floor_plan
-from toolkit.exports.scene_graph import export_scene_graph
+from toolkit.exports.scene_graph import export_scene_graph, scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
 from toolkit.exports.surfaces import export_gltf, export_labelled_points, export_scene_splats
 from toolkit.exports.views import ViewExportOptions, export_colmap, export_nerfstudio
@@ -29,7 +29,7 @@ from toolkit.runs.new_folder import NewFolder
 from toolkit.tools.cli.map_programs import ExportOptions
 from toolkit.tools.viewer.html import link_from_report, write_page
 from toolkit.tools.viewer.reading import run_scene
-from toolkit.tools.viewer.shown_objects import shown_objects
+from toolkit.tools.viewer.shown_objects import graph_objects
 
 _log = logging.getLogger(__name__)
 
@@ -159,7 +159,7 @@ def _viewer(options: ExportOptions, selection: SelectedGaussians) -> str:
     scene = run_scene(selection, options.viewer)
     if options.viewer.graph:
         mapped = map_scene(selection, options.objects, options.floor, options.grid)
-        scene = replace(scene, objects=shown_objects(mapped))
+        scene = replace(scene, objects=graph_objects(scene_graph(mapped).content))
     size = write_page(options.to, scene)
     if link_from_report(options.to, selection.run.folder.report):
         _log.info("Linked it from %s.", selection.run.folder.report)

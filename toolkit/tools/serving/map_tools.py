@@ -100,8 +100,8 @@ class MapTools:
         if room is not None:
             self._check_room(room)
             inside = [o for o in self._objects if room in o["rooms"]]
-            return {**scene.describe_room(room - 1), **_counted(inside)}
-        rooms = [scene.describe_room(k) for k in range(len(scene.building.rooms))]
+            return {**scene.building.describe(room - 1), **_counted(inside)}
+        rooms = [scene.building.describe(k) for k in range(len(scene.building.rooms))]
         storeys = scene.building.floors.storeys
         return {
             "run": shown(self._run.name),
@@ -122,7 +122,7 @@ class MapTools:
                 "floor_area_m2": described["floor_area_m2"],
                 "axes": described["box"]["axes"],
             }
-        a, b = (scene.points_m(self._checked(k)) for k in (number, other))
+        a, b = (scene.objects[self._checked(k)].points_m for k in (number, other))
         distance = surface_distance(a, b)
         grid = scene.grid
         heights_m = grid.min_height_m, grid.max_height_m
@@ -167,7 +167,7 @@ class MapTools:
     def pose_towards(self, number: int) -> Array:
         """Return T_map_camera [4, 4] of the keyframe that sees an object best, turned to it."""
         scene = self._scene
-        points_m = scene.points_m(self._checked(number))
+        points_m = scene.objects[self._checked(number)].points_m
         points_m = points_m[:: max(1, len(points_m) // 200)]
         seen = [scene.views.sight(k, points_m).surface.mean() for k in range(len(scene.views))]
         if not seen or max(seen) <= 0:

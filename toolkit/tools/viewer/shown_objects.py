@@ -11,38 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from toolkit.base.errors import FormatError
-from toolkit.exports.mapped_scene import MappedScene
 from toolkit.io.guarded.documents import read_json
 from toolkit.tools.viewer.scene import ShownObject
 
 _SIGNS = np.array([corner[::-1] for corner in itertools.product((-0.5, 0.5), repeat=3)])
 
 
-def shown_objects(scene: MappedScene) -> tuple[ShownObject, ...]:
-    """Return the objects in rooms, by storey, room and their numbers in the scene graph."""
-    names = {number: f"{found.node.name} {number}" for number, found in enumerate(scene.objects)}
-    lines = _relation_lines(((r.source, r.target, r.kind) for r in scene.relations), names)
-    rows = []
-    for number, found in enumerate(scene.objects):
-        if scene.enclosing[number]:
-            continue
-        box = found.box
-        corners = _corners_m(box.centre_m, box.size_m, box.axes)
-        room = next(iter(scene.rooms_of(number)), len(scene.building.rooms))
-        name = f"room {room + 1}" if room < len(scene.building.rooms) else ""
-        level = scene.storeys[number][0]
-        storey = f"storey {level + 1}" if len(scene.building.spaces) > 1 else ""
-        related = tuple(lines.get(number, ()))
-        path = tuple(found.node.path)
-        one = ShownObject(number, names[number], name, corners, related, storey, path)
-        rows.append((level, room, one))
-    return _in_order(rows)
-
-
 def graph_objects(
     graph: Mapping[str, Any], voxels_m: Mapping[int, NDArray[np.float64]] | None = None
 ) -> tuple[ShownObject, ...]:
-    """Return the objects of a graph in node-link format, ordered as by `shown_objects`.
+    """Return the objects of a graph in node-link format, by storey, room and number.
 
     Args:
         graph: the graph.
@@ -71,7 +49,7 @@ def graph_objects(
         own_m = (voxels_m or {}).get(number)
         one = ShownObject(number, names[number], room, corners, related, storey, path, own_m)
         rows.append((level, rooms[0] if rooms else len(graph["nodes"]) + 1, one))
-    return _in_order(rows)
+    return tuple(one for *_, one in sorted(rows, key=lambda row: (*row[:2], row[2].number)))
 
 
 def read_graph_objects(file: Path) -> tuple[ShownObject, ...]:
@@ -105,8 +83,3 @@ def _relation_lines(
 def _corners_m(centre_m: ArrayLike, size_m: ArrayLike, axes: ArrayLike) -> NDArray[np.float64]:
     corners = np.asarray(centre_m) + (_SIGNS * np.asarray(size_m)) @ np.asarray(axes).T
     return np.asarray(corners, np.float64)
-
-
-def _in_order(rows: list[tuple[int, int, ShownObject]]) -> tuple[ShownObject, ...]:
-    """Objects with the numbers of their storey and room, by all three numbers."""
-    return tuple(one for *_, one in sorted(rows, key=lambda row: (*row[:2], row[2].number)))

@@ -1,4 +1,8 @@
-"""Relations of objects that change: a bounded number of objects is compared at a time."""
+"""Relations between all objects of a scene, which may grow: some objects are compared at a time.
+
+The relations are geometric: they are derived from points of the objects above the plane of the
+floor, and need no knowledge about classes.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,7 @@ from toolkit.scene.graph.boxes import Ground
 from toolkit.scene.graph.facing import front_of
 from toolkit.scene.graph.relations import (
     MAX_FACED_M,
+    REACH_CONTACTS,
     Groups,
     Relation,
     RelationOptions,
@@ -27,15 +32,19 @@ from toolkit.scene.graph.storeys import Floors, Storeys
 
 Array = NDArray[np.float64]
 
-# Objects beyond this distance cannot support or contain an object; those beyond the other one
-# horizontally cannot be below it.
-_REACH_M, _BELOW_M = 0.2, 0.1
-# Points of a body: larger objects are thinned out.
-_MAX_POINTS = 1500
+# Objects beyond this distance horizontally cannot be below an object.
+_BELOW_M = 0.1
 
 
-class LiveRelations:
+class SceneRelations:
     """Relations between objects by number.
+
+    An object is in another one that surrounds it, else on the one with points right below its
+    bottom, else on the floor around it, else on the wall that it hangs at. Objects are next to each
+    other if neither supports or contains the other and they are close; such pairs are reported
+    once. Walls and floors are neither on nor in anything. Objects can be next to walls, but not to
+    floors. An object is above the highest one below it that does not support it, and seats and
+    panels face the nearest object before them that is not of their own group.
 
     Args:
         points_of: points [n, 3] of an object in the world, by its number.
@@ -46,7 +55,10 @@ class LiveRelations:
         self, points_of: Callable[[int], Array], options: RelationOptions | None = None
     ) -> None:
         self._points_of, self._options = points_of, options or RelationOptions()
+        # Objects beyond this distance can neither support nor contain an object.
+        self._reach_m = REACH_CONTACTS * self._options.contact_m
         self._bodies: dict[int, Body] = {}
+        self._outdated: set[int] = set()
         self._roles: dict[int, Role] = {}
         self._vertical: dict[int, list[Relation]] = {}
         self._above: dict[int, int] = {}
@@ -59,8 +71,13 @@ class LiveRelations:
         return len(self._waiting)
 
     def changed(self, number: int, role: Role) -> None:
-        """Note that an object is new or has changed."""
+        """Note that an object is new or has changed.
+
+        Args:
+            role: ceilings count as floors.
+        """
         self._roles[number] = role
+        self._outdated.add(number)
         self._waiting.setdefault(number)
 
     def all_changed(self) -> None:
@@ -74,6 +91,7 @@ class LiveRelations:
         for table in (self._bodies, self._roles, self._vertical, self._above, self._facing):
             table.pop(number, None)
         self._waiting.pop(number, None)
+        self._outdated.discard(number)
         self._near = {pair for pair in self._near if number not in pair}
         for source, found in self._vertical.items():
             self._vertical[source] = [r for r in found if r.target != number]
@@ -86,15 +104,18 @@ class LiveRelations:
 
         Args:
             floors: planes of the floors; objects of different storeys have no relations.
-            cameras_m: [P, 3] positions of the camera.
+            cameras_m: [P, 3] positions of the camera, which panels face that hang at no wall;
+                without them, these have no front.
             count: maximum number of objects; all if None.
         """
-        if count is None:
-            for number in self._roles:
-                self.body(number, floors.ground)
-        for number in list(self._waiting)[:count]:
-            del self._waiting[number]
-            self._compare(number, floors, cameras_m)
+        chosen = list(self._waiting)[:count]
+        for number in self._roles if count is None else ():
+            self._body(number, floors.ground)
+        neighbours = [self._compare(number, floors) for number in chosen]
+        # What stands on what is known: an object does not face those of its own group.
+        for number, near in zip(chosen, neighbours, strict=True):
+            if self._roles[number] == "object":
+                self._face(number, near, floors, cameras_m)
 
     def relations(self) -> list[Relation]:
         """All relations, in a fixed order."""
@@ -105,45 +126,44 @@ class LiveRelations:
         found += [Relation(a, b, "above") for a, b in sorted(self._above.items())]
         return found + [Relation(a, b, "facing") for a, b in sorted(self._facing.items())]
 
-    def body(self, number: int, ground: Ground) -> Body:
+    def _body(self, number: int, ground: Ground) -> Body:
         """The body of an object along the axes of the floor."""
-        if number not in self._bodies:
-            points_m = self._points_of(number)
-            thinned = points_m[:: max(1, len(points_m) // _MAX_POINTS)]
-            self._bodies[number] = Body(thinned @ ground.axes)
+        if number not in self._bodies or number in self._outdated:
+            self._bodies[number] = Body(self._points_of(number) @ ground.axes)
+            self._outdated.discard(number)
         return self._bodies[number]
 
-    def _compare(self, number: int, floors: Floors, cameras_m: Array) -> None:
-        old = self._bodies.pop(number, None)
-        body = self.body(number, floors.ground)
+    def _compare(self, number: int, floors: Floors) -> list[int]:
+        """Compare an object with those around it; return those that it may face."""
+        del self._waiting[number]
+        is_new = number not in self._bodies
+        body = self._body(number, floors.ground)
         others = [k for k in self._bodies if k != number]
         if not others:
-            return
+            return []
         low, high = (
             np.array([getattr(self._bodies[k], s) for k in others]) for s in ("low", "high")
         )
         gap = np.maximum(low - body.high, body.low - high)
         numbers = np.array(others)
-        close = numbers[(gap <= max(_REACH_M, self._options.next_to_m)).all(axis=1)].tolist()
+        close = numbers[(gap <= max(self._reach_m, self._options.next_to_m)).all(axis=1)].tolist()
         close = self._meeting(number, close, floors.storeys)
         self._pair_up(number, close)
         if self._roles[number] in ("object", "opening"):
             self._vertical[number] = support(
                 number, close, self._bodies, self._roles, self._options
             )
-        if self._roles[number] == "object":
-            flat = (gap[:, :2] <= _BELOW_M).all(axis=1)
-            below = self._meeting(number, numbers[flat].tolist(), floors.storeys)
-            self._hang(number, below)
-            near = numbers[(gap[:, :2] <= self._options.facing_m).all(axis=1)].tolist()
-            ahead = self._meeting(number, near, floors.storeys)
-            own = floors.of(floors.storeys.of(body.bottom, body.top))
-            self._face(number, ahead, own, cameras_m)
-        if old is None:  # its neighbours may stand on it
-            around = numbers[(gap <= _REACH_M).all(axis=1)].tolist()
+        if is_new:  # its neighbours may stand on it
+            around = numbers[(gap <= self._reach_m).all(axis=1)].tolist()
             for k in around:
                 if self._roles[k] == "object":
                     self._waiting.setdefault(k)
+        if self._roles[number] != "object":
+            return []
+        flat = (gap[:, :2] <= _BELOW_M).all(axis=1)
+        self._hang(number, self._meeting(number, numbers[flat].tolist(), floors.storeys))
+        near = numbers[(gap[:, :2] <= self._options.facing_m).all(axis=1)].tolist()
+        return self._meeting(number, near, floors.storeys)
 
     def _meeting(self, number: int, others: list[int], storeys: Storeys) -> list[int]:
         """Those of some objects that are on a storey of an object; floors touch or do not."""
@@ -180,13 +200,15 @@ class LiveRelations:
         if target is not None:
             self._above[number] = target
 
-    def _face(self, number: int, ahead: list[int], ground: Ground, cameras_m: Array) -> None:
+    def _face(self, number: int, near: list[int], floors: Floors, cameras_m: Array) -> None:
         self._facing.pop(number, None)
+        # What is in a shelf neither faces anything nor is faced: the shelf is.
         contained = {k for k, found in self._vertical.items() if any(r.kind == "in" for r in found)}
         if number in contained:
             return
-        floor = np.array([0.0, 0.0, ground.height_m])
         body = self._bodies[number]
+        ground = floors.of(floors.storeys.of(body.bottom, body.top))
+        floor = np.array([0.0, 0.0, ground.height_m])
         hanging = self._vertical.get(number, ())
         wall = wall_behind(body, hanging, self._bodies, self._roles) - floor
         front = front_of(body.points - floor, cameras_m @ ground.axes - floor, wall)
@@ -197,7 +219,7 @@ class LiveRelations:
         groups = Groups(vertical, self._roles)
         things = [
             k
-            for k in ahead
+            for k in near
             if self._roles[k] == "object"
             and k not in contained
             and self._bodies[k].bottom - ground.height_m <= MAX_FACED_M
@@ -218,6 +240,7 @@ class LiveRelations:
             "facing": list(map(list, self._facing.items())),
             "near": sorted(map(list, self._near)),
             "waiting": list(self._waiting),
+            "outdated": sorted(self._outdated),
             "bodies": list(self._bodies),
         }
 
@@ -231,6 +254,7 @@ class LiveRelations:
         self._facing = {int(a): int(b) for a, b in values["facing"]}
         self._near = {(int(a), int(b)) for a, b in values["near"]}
         self._waiting = {int(k): None for k in values["waiting"]}
+        self._outdated = {int(k) for k in values["outdated"]}
         self._bodies = {int(k): bodies[int(k)] for k in values["bodies"]}
 
     @property
