@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from toolkit.base.frame import NullRecorder
 from toolkit.base.keyframe import Keyframe
-from toolkit.scene.growing.growing import GrowingScene
+from toolkit.scene.growing.listener import SceneListener
+from toolkit.scene.instances.tracking import InstanceTracker
+from toolkit.semantics.taxonomy import Taxonomy
 
 
 class OneSubmap:
@@ -32,9 +35,14 @@ def labelled_keyframe(view, index: int, T_world_room: np.ndarray | None = None) 
     return keyframe
 
 
-def grown(keyframes: list[Keyframe], scene: GrowingScene, atlas: OneSubmap) -> GrowingScene:
+def new_scene(taxonomy: Taxonomy, tracker: InstanceTracker | None = None) -> SceneListener:
+    """A scene without keyframes."""
+    return SceneListener(taxonomy, tracker, NullRecorder())
+
+
+def grown(keyframes: list[Keyframe], scene: SceneListener, atlas: OneSubmap) -> SceneListener:
     """The scene after these keyframes."""
     for keyframe in keyframes:
         atlas.keyframes.append(keyframe)
-        scene.update(atlas)
+        scene.frame_added(atlas, 1.0)
     return scene

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from box_room import CEILING, CRATE, CUPBOARD, FLOOR, OBJECT, SURFACE, WALL, walk
-from one_submap import OneSubmap, grown, labelled_keyframe
+from one_submap import OneSubmap, grown, labelled_keyframe, new_scene
 
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
-from toolkit.scene.growing.growing import GrowingScene
-from toolkit.scene.growing.objects import Fragment
+from toolkit.scene.growing.counts import PixelCounts
 from toolkit.scene.instances.masks import InstanceMasks
 from toolkit.scene.instances.options import InstanceOptions
+from toolkit.scene.instances.records import KeyframeMasks
 from toolkit.scene.instances.tracking import InstanceTracker
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -29,19 +29,15 @@ def keyframes() -> list[Keyframe]:
     return [labelled_keyframe(view, view.frame.index) for view in walk(16)]
 
 
-def new_scene() -> GrowingScene:
-    return GrowingScene(TAXONOMY)
-
-
 def nodes_of(content: dict, name: str) -> list[dict]:
     return [node for node in content["nodes"] if node["name"] == name]
 
 
 def test_objects_have_their_places_relations_and_room(keyframes):
     atlas = OneSubmap()
-    scene = grown(keyframes, new_scene(), atlas)
-    scene.finish(atlas)
-    content = scene.content()
+    scene = grown(keyframes, new_scene(TAXONOMY), atlas)
+    scene.finished(atlas, [None])
+    content = scene.scene.content()
     assert len(nodes_of(content, "floor")) == len(nodes_of(content, "room 1")) == 1
     (floor,) = nodes_of(content, "floor")
     assert floor["kind"] == "structure" and floor["storey"] == 1
@@ -60,13 +56,13 @@ def test_objects_have_their_places_relations_and_room(keyframes):
 
 def test_objects_keep_their_identifiers_while_the_scene_grows(keyframes):
     atlas = OneSubmap()
-    scene = grown(keyframes[:8], new_scene(), atlas)
-    before = scene.content()
+    scene = grown(keyframes[:8], new_scene(TAXONOMY), atlas)
+    before = scene.scene.content()
     numbers = {node["id"]: node["name"] for node in before["nodes"] if node["kind"] != "room"}
-    after = grown(keyframes[8:], scene, atlas).content()
+    after = grown(keyframes[8:], scene, atlas).scene.content()
     again = {node["id"]: node["name"] for node in after["nodes"] if node["kind"] != "room"}
-    kept = numbers.keys() & scene.objects.keys()
-    assert len(kept) >= 3 and kept <= again.keys() <= scene.objects.keys()
+    kept = numbers.keys() & again.keys()
+    assert len(kept) >= 3 and kept
     assert all(again[number] == numbers[number] for number in kept)
     ids = [node["id"] for node in after["nodes"]]
     assert len(set(ids)) == len(ids)
@@ -75,13 +71,13 @@ def test_objects_keep_their_identifiers_while_the_scene_grows(keyframes):
 
 def test_a_resumed_scene_continues_identically(keyframes):
     whole_atlas = OneSubmap()
-    whole = grown(keyframes, new_scene(), whole_atlas)
+    whole = grown(keyframes, new_scene(TAXONOMY), whole_atlas)
     first_atlas = OneSubmap()
-    arrays, values = grown(keyframes[:7], new_scene(), first_atlas).state()
-    again = new_scene()
+    arrays, values = grown(keyframes[:7], new_scene(TAXONOMY), first_atlas).state()
+    again = new_scene(TAXONOMY)
     again.restore(arrays, json.loads(json.dumps(values)))
     grown(keyframes[7:], again, first_atlas)
-    assert again.content() == whole.content()
+    assert again.scene.content() == whole.scene.content()
     (arrays, values), (expected, expected_values) = again.state(), whole.state()
     assert values == expected_values and arrays.keys() == expected.keys()
     for name, array in arrays.items():
@@ -90,12 +86,12 @@ def test_a_resumed_scene_continues_identically(keyframes):
 
 def test_corrections_of_loops_move_the_graph(keyframes):
     atlas = OneSubmap()
-    scene = grown(keyframes, new_scene(), atlas)
-    scene.finish(atlas)
-    before = scene.content()
+    scene = grown(keyframes, new_scene(TAXONOMY), atlas)
+    scene.finished(atlas, [None])
+    before = scene.scene.content()
     atlas.pose = se3.exp(np.array([1.0, -0.5, 0.3, 0.0, 0.0, 0.4]))
-    scene.finish(atlas)
-    after = scene.content()
+    scene.finished(atlas, [None])
+    after = scene.scene.content()
     assert len(before["nodes"]) == len(after["nodes"])
     centre = np.array(nodes_of(before, "table")[0]["box"]["centre_m"])
     moved = np.array(nodes_of(after, "table")[0]["box"]["centre_m"])
@@ -112,29 +108,25 @@ class Foreign:
 
 def test_masks_of_unknown_classes_have_the_class_of_the_labels(keyframes):
     tracker, atlas = InstanceTracker(InstanceOptions(), Foreign(), NAMES), OneSubmap()
-    scene = GrowingScene(TAXONOMY, tracker)
+    scene = new_scene(TAXONOMY, tracker)
     for keyframe in keyframes:
         tracker.update(0, [keyframe])
         grown([keyframe], scene, atlas)
     assert {one.class_name for one in tracker.objects.values()} == {"couch"}
-    assert {"floor", "table", "cabinet"} <= {n["name"] for n in scene.content()["nodes"]}
+    assert {"floor", "table", "cabinet"} <= {n["name"] for n in scene.scene.content()["nodes"]}
 
 
 def test_without_a_floor_there_is_no_graph():
-    assert new_scene().content() is None
+    assert new_scene(TAXONOMY).scene.content() is None
 
 
-def test_fragments_add_up_voxels_in_any_order():
-    rng = np.random.default_rng(0)
-    fragment, expected = Fragment(), {}
-    for _ in range(5):
-        keys = np.unique(rng.integers(0, 50, 20))
-        sums = rng.random((len(keys), 5))
-        fragment.add(keys, sums)
-        for key, row in zip(keys.tolist(), sums, strict=True):
-            expected[key] = expected.get(key, 0.0) + row
-    np.testing.assert_array_equal(fragment.keys, sorted(expected))
-    np.testing.assert_allclose(
-        fragment.sums_m[fragment.rows], [expected[k] for k in sorted(expected)]
-    )
-    assert fragment.overlap(np.array(sorted(expected))) == len(expected)
+def test_pixels_of_objects_add_up_over_keyframes():
+    counts, ids = PixelCounts(3), np.array([[0, 1, 1], [2, 2, 0]], np.int32)
+    kinds = np.array([[0, 1, 2], [0, 0, 1]])
+    for objects in ([5, 6], [6, 0]):
+        counts.add(KeyframeMasks.of(0, 0, np.array(objects, np.int32), ids), kinds)
+    assert counts.of([5]).tolist() == [0, 1, 1] and counts.of([6]).tolist() == [2, 1, 1]
+    assert counts.of([5, 6, 7]).tolist() == [2, 2, 2]
+    again = PixelCounts(3)
+    again.restore(counts.state())
+    assert again.of([6]).tolist() == [2, 1, 1] and not again.of([]).any()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from box_room import CEILING, FLOOR, OBJECT, SURFACE, WALL, walk
 from labelled_room import chair, table
-from one_submap import OneSubmap, grown, labelled_keyframe
+from one_submap import OneSubmap, grown, labelled_keyframe, new_scene
 from two_storeys import AREAS_M2, STOREY_M, VISITED, points_of
 
 from toolkit.base.geometry import se3
@@ -17,7 +17,7 @@ from toolkit.scene.graph.boxes import Ground
 from toolkit.scene.graph.relations import Relation
 from toolkit.scene.graph.scene_relations import SceneRelations
 from toolkit.scene.graph.storeys import Floors, Storeys
-from toolkit.scene.growing.growing import GrowingScene
+from toolkit.scene.growing.listener import SceneListener
 from toolkit.scene.growing.rooms import GrowingBuilding
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -36,16 +36,16 @@ def keyframes() -> list[Keyframe]:
     return [labelled_keyframe(view, index, T) for index, (T, view) in enumerate(views)]
 
 
-def finished(views: list[Keyframe], scene: GrowingScene, atlas: OneSubmap) -> dict:
+def finished(views: list[Keyframe], scene: SceneListener, atlas: OneSubmap) -> dict:
     """The graph of a scene after these keyframes."""
     grown(views, scene, atlas)
-    scene.finish(atlas)
+    scene.finished(atlas, [None])
     return scene.content()
 
 
 @pytest.fixture(scope="module")
 def content() -> dict:
-    return finished(keyframes(), GrowingScene(TAXONOMY), OneSubmap())
+    return finished(keyframes(), new_scene(TAXONOMY), OneSubmap())
 
 
 def test_each_storey_has_its_room_and_objects(content):
@@ -56,7 +56,7 @@ def test_each_storey_has_its_room_and_objects(content):
     assert [room["storey"] for room in rooms] == [1, 2]
     # Each is 5 m x 4 m; the lower one has the same area without an upper one.
     assert rooms[0]["area_m2"] == pytest.approx(rooms[1]["area_m2"], rel=0.1)
-    lower = finished(keyframes()[:16], GrowingScene(TAXONOMY), OneSubmap())
+    lower = finished(keyframes()[:16], new_scene(TAXONOMY), OneSubmap())
     (alone,) = [node for node in lower["nodes"] if node["kind"] == "room"]
     assert rooms[0]["area_m2"] == pytest.approx(alone["area_m2"], rel=0.05)
     for name in ("floor", "table"):
@@ -92,12 +92,12 @@ def test_objects_face_those_of_their_storey():
 
 def test_a_resumed_scene_has_the_same_storeys(content):
     views, atlas = keyframes(), OneSubmap()
-    first = GrowingScene(TAXONOMY)
+    first = new_scene(TAXONOMY)
     for keyframe in views[:28]:
         atlas.keyframes.append(keyframe)
-        first.update(atlas)
+        first.frame_added(atlas, 1.0)
     arrays, values = first.state()
-    again = GrowingScene(TAXONOMY)
+    again = new_scene(TAXONOMY)
     again.restore(arrays, json.loads(json.dumps(values)))
     assert again.state()[1] == values and len(values["storeys_m"]) == 2
     assert finished(views[28:], again, atlas) == content

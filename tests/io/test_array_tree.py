@@ -6,7 +6,6 @@ import pytest
 from toolkit.base.errors import FormatError, RunFolderError
 from toolkit.io import arrays
 from toolkit.io.arrays import (
-    JoinedArrays,
     compress_array_tree,
     read_array_tree,
     write_array_tree,
@@ -112,24 +111,3 @@ def test_missing_folder_and_unsupported_values_raise(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         write_array_tree(tmp_path / "state", {}, {"x": float("nan")})
     assert list(tmp_path.iterdir()) == []
-
-
-def test_joined_arrays_are_copies_of_all_dtypes_and_shapes(tmp_path):
-    arrays = {
-        "a/1": np.arange(6.0).reshape(2, 3),
-        "b": np.arange(4),
-        "a/2": np.zeros((0, 3)),
-        "c": np.full((), 7.0),
-    }
-    joined = JoinedArrays.join(arrays)
-    kept = {name: array.copy() for name, array in arrays.items()}
-    arrays["a/1"] += 1.0
-    write_array_tree(tmp_path / "tree", joined.arrays, {"index": joined.index})
-    read = read_array_tree(tmp_path / "tree")
-    found = JoinedArrays(read.arrays, read.metadata["index"]).split()
-    assert list(found) == list(kept)
-    for name, array in kept.items():
-        assert found[name].dtype == array.dtype
-        np.testing.assert_array_equal(found[name], array)
-    with pytest.raises(ValueError, match="shape"):
-        JoinedArrays({**read.arrays, "int64": np.arange(3)}, joined.index).split()

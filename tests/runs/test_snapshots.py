@@ -119,8 +119,7 @@ def test_snapshots_and_checkpoints_have_the_scene_graph(tiny_recording, tmp_path
     reader = ProgressReader(run.path)
     watch(run.folder)
     run.process(0.0, 4)
-    first = reader.read().graph
-    assert {node["kind"] for node in first["nodes"]} == {"room"}, "one keyframe makes no object"
+    assert reader.read().graph is None, "one keyframe makes no object"
     watch(run.folder)
     run.process(9.0)
     expected = run.slam.listener("scene").scene.content()

@@ -46,41 +46,6 @@ def arrays_below(arrays: Mapping[str, NDArray], prefix: str) -> dict[str, NDArra
     return {k[len(prefix) :]: a for k, a in arrays.items() if k.startswith(prefix)}
 
 
-@dataclass(frozen=True)
-class JoinedArrays:
-    """Many small arrays as one array per dtype, which is copied and written in less time.
-
-    Attributes:
-        arrays: flat arrays by the name of their dtype.
-        index: name, dtype and shape of each array, in order, as JSON values.
-    """
-
-    arrays: dict[str, NDArray]
-    index: list[list[Any]]
-
-    @classmethod
-    def join(cls, arrays: Mapping[str, NDArray]) -> JoinedArrays:
-        """Copy arrays by name."""
-        index = [[name, a.dtype.name, list(a.shape)] for name, a in arrays.items()]
-        flat: dict[str, list[NDArray]] = {}
-        for array in arrays.values():
-            flat.setdefault(array.dtype.name, []).append(array.ravel())
-        return cls({dtype: np.concatenate(parts) for dtype, parts in flat.items()}, index)
-
-    def split(self) -> dict[str, NDArray]:
-        """Return the arrays by name.
-
-        Raises:
-            KeyError: the dtype of an array is missing.
-            ValueError: an array does not have the values of its shape.
-        """
-        places, found = dict.fromkeys(self.arrays, 0), {}
-        for name, dtype, shape in self.index:
-            begin, places[dtype] = places[dtype], places[dtype] + int(np.prod(shape))
-            found[name] = self.arrays[dtype][begin : places[dtype]].reshape(shape)
-        return found
-
-
 def write_array_tree(
     folder: PathLike, arrays: Mapping[str, NDArray], metadata: Mapping[str, Any]
 ) -> None:

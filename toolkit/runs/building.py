@@ -15,7 +15,6 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.image_side import up_side
 from toolkit.runs.modes import FrontEndParts, mode_of
 from toolkit.runs.settings import RunSettings
-from toolkit.scene.growing.growing import GrowingScene
 from toolkit.scene.growing.listener import SceneListener
 from toolkit.scene.instances.factory import build_instances, may_ignore_masks
 from toolkit.scene.instances.ignoring import IgnoredMasks, IgnoredTexts
@@ -117,7 +116,7 @@ def _build_listeners(
                 "--scene.graph needs class labels: use a dataset with label images, or add a "
                 "segmenter with --segmenter.kind"
             )
-        listeners.append(SceneListener(GrowingScene(taxonomy, instances), recorder))
+        listeners.append(SceneListener(taxonomy, instances, recorder))
     return listeners
 
 

@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 _SLOTS = ("0", "1")
 # To be incremented when the state of any part of a run changes its layout.
-CHECKPOINT_FORMAT = 13
+CHECKPOINT_FORMAT = 14
 
 
 @dataclass(frozen=True)

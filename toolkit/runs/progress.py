@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from toolkit.base.errors import FormatError, RunFolderError
 from toolkit.base.geometry.camera import Camera
 from toolkit.base.geometry.image_sides import ImageSide
-from toolkit.io.arrays import JoinedArrays, arrays_below, read_array_tree
+from toolkit.io.arrays import arrays_below, read_array_tree
 from toolkit.io.guarded.documents import read_json
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.runs.checkpoints import CHECKPOINT_FORMAT
@@ -23,8 +23,7 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.maps.map_files import splat_labels
 from toolkit.runs.settings import load_stored_settings
 from toolkit.runs.snapshots import watch
-from toolkit.scene.growing.growing import GrowingScene
-from toolkit.scene.growing.snapshot import Snapshot, snapshot_content
+from toolkit.scene.growing.listener import read_snapshot
 from toolkit.semantics.factory import build_code
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.mapping.semantic_mapping import build_semantic_mapping
@@ -33,7 +32,7 @@ from toolkit.splatting.gaussians.cloud import PARAMETERS, GaussianCloud
 
 # Arrays of a checkpoint that describe the map and the cameras; the rest is much larger.
 _WANTED = re.compile(
-    r"atlas/(anchors|indices/\d+|poses/\d+)|mapper/semantics/.*|path/T_keyframe_camera|scene/.*"
+    r"atlas/(anchors|indices/\d+|poses/\d+)|mapper/semantics/.*|path/T_keyframe_camera|scene/shown/.*"
     r"|atlas/active/(gaussians/.*|keyframes/\d+/(T_map_camera|rgb))"
 )
 
@@ -103,7 +102,7 @@ class RunProgress:
     doubtful: frozenset[int] = frozenset()
     lost: frozenset[int] = frozenset()
     graph: dict[str, Any] | None = None
-    voxels_m: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+    voxels_m: Mapping[int, NDArray[np.float32]] = field(default_factory=dict)
 
 
 class ProgressReader:
@@ -187,7 +186,9 @@ class ProgressReader:
         path = [poses[tracked[i]["keyframe"]] @ relative[i] for i in known]
         first = next(iter(rows), None)
         taxonomy, decode = self._decoder(arrays_below(arrays, "mapper/semantics/"))
-        scene = None if taxonomy is None else _growing_scene(taxonomy, arrays, values)
+        scene = None
+        if taxonomy is not None and "scene" in values:
+            scene = read_snapshot(arrays_below(arrays, "scene/"), values["scene"])
         return RunProgress(
             next_frame=int(metadata["next_frame"]),
             parts=self._parts(arrays, anchors, values["atlas"]["store"], number),
@@ -200,7 +201,7 @@ class ProgressReader:
             decode=decode,
             doubtful=frozenset(int(row["index"]) for row in tracked if row["doubt"]),
             lost=frozenset(int(index) for index, _ in values["path"]["lost_frames"]),
-            graph=None if taxonomy is None or scene is None else snapshot_content(scene, taxonomy),
+            graph=None if taxonomy is None or scene is None else scene.content(taxonomy),
             voxels_m={} if scene is None else scene.points_m,
         )
 
@@ -247,20 +248,6 @@ class ProgressReader:
             return splat_labels(decoding, options.min_confidence)
 
         return taxonomy, decode
-
-
-def _growing_scene(
-    taxonomy: Taxonomy, arrays: dict[str, NDArray], values: dict[str, Any]
-) -> Snapshot | None:
-    """The growing scene, whose arrays are joined in snapshots; None without one."""
-    if "scene" not in values:
-        return None
-    own = arrays_below(arrays, "scene/")
-    if "scene_index" in values:
-        own = JoinedArrays(own, values["scene_index"]).split()
-    scene = GrowingScene(taxonomy)
-    scene.restore(own, values["scene"])
-    return scene.snapshot()
 
 
 def read_serial(slot: Path) -> int | None:

@@ -1,8 +1,7 @@
 """Snapshots of a run in progress: the part of its state that viewers show.
 
     live/watched   touched by viewers while they follow the run
-    live/snapshot  the newest snapshot, in the layout of a checkpoint, but the arrays of the scene
-                   graph are joined
+    live/snapshot  the newest snapshot, in the layout of a checkpoint
 
 A run that nobody watches writes nothing.
 """
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from toolkit.base.frame import Frame
 from toolkit.base.keyframe import Keyframe
-from toolkit.io.arrays import JoinedArrays, write_array_tree
+from toolkit.io.arrays import write_array_tree
 from toolkit.io.images import small_image
 from toolkit.runs.checkpoints import CHECKPOINT_FORMAT
 from toolkit.runs.folder import RunFolder
@@ -174,11 +173,10 @@ class SnapshotWriter:
             },
         }
         scene = slam.listener(SceneListener.name)
-        if scene is not None:
-            own, values["scene"] = scene.state()
-            joined = JoinedArrays.join(own)
-            arrays |= {f"scene/{dtype}": array for dtype, array in joined.arrays.items()}
-            values["scene_index"] = joined.index
+        if isinstance(scene, SceneListener):
+            own, shown = scene.snapshot()
+            arrays |= {f"scene/shown/{name}": array for name, array in own.items()}
+            values["scene"] = {"shown": shown}
         return arrays, values
 
     def _image(self, keyframe: Keyframe) -> NDArray[np.uint8]:

@@ -1,7 +1,13 @@
-"""The scene graph while the camera moves: every keyframe extends objects and their relations."""
+"""Scene graph of a run while it maps: tracked objects, their relations, rooms and storeys.
+
+Every keyframe adds to the objects of a tracker. Objects that are new or have grown wait to be
+compared with those around them; a keyframe compares a bounded number of them, so that its time does
+not depend on the length of the run. The end of the run compares all.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import takewhile
 from typing import Any
 
@@ -16,37 +22,26 @@ from toolkit.scene.graph.relations import RelationOptions, Role
 from toolkit.scene.graph.roles import Roles
 from toolkit.scene.graph.scene_relations import SceneRelations
 from toolkit.scene.graph.storeys import Floors, Storeys
+from toolkit.scene.growing.counts import PixelCounts
 from toolkit.scene.growing.floors import fitted_floors, same_floors
-from toolkit.scene.growing.objects import GrowingObject, thinned
 from toolkit.scene.growing.rooms import ViewFan, fan_of
-from toolkit.scene.growing.segments import (
-    Segments,
-    SegmentVoxels,
-    labelled_segments,
-    masked_segments,
-    voxels_of_segments,
-)
-from toolkit.scene.growing.snapshot import Snapshot, snapshot_content
-from toolkit.scene.growing.twins import MIN_SHARED, Twins
-from toolkit.scene.instances.tracking import InstanceTracker, labels_of_masks
+from toolkit.scene.growing.snapshot import SeenObject, Snapshot, thinned
+from toolkit.scene.growing.surfaces import Surfaces
+from toolkit.scene.growing.twins import Twins
+from toolkit.scene.instances.tracking import InstanceTracker
 from toolkit.scene.instances.voxels import sampled, sampling_step
-from toolkit.semantics.colour_names import colour_table
+from toolkit.semantics.colour_names import COLOUR_NAMES, colour_table
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.slam.submaps.atlas import Atlas
 
 Array = NDArray[np.float64]
 
-# A segment belongs to an object of its class that shares this share of the smaller one's voxels;
-# smaller segments start no object.
-_SHARED, _MIN_VOXELS = 0.1, 4
-# Edge of the voxels that represent objects, in metres.
-VOXEL_M = 0.05
+# Objects of fewer voxels, or of a single mask, are noise.
+_MIN_VOXELS, _MIN_VIEWS = 6, 2
 # Number of points that suffice for relations.
 _OUTLINE_POINTS = 1500
-# Factor of the edge of voxels of walls, floors and openings, which are large.
-_COARSER = 2.0
-# Objects that only one of this many keyframes saw are errors of labels.
-_YOUNG = 8
+# Surfaces are known up to the edge of a voxel.
+_VOXEL_M = 0.04
 # Number of objects whose relations are computed per keyframe; others wait.
 _OBJECTS_PER_KEYFRAME = 2
 # An object that has grown by this share is compared again.
@@ -60,47 +55,45 @@ _MOVED = 1e-6
 
 
 class GrowingScene:
-    """Objects, relations and rooms of a run.
+    """Relations and rooms of the objects of a run.
 
     Args:
         taxonomy: classes of the labels.
-        instances: tracks objects; by default, objects are connected surfaces of one class.
+        tracker: follows the objects.
+        connected: objects of one class that touch are one, as in maps without instances.
     """
 
     def __init__(
-        self,
-        taxonomy: Taxonomy,
-        instances: InstanceTracker | None = None,
+        self, taxonomy: Taxonomy, tracker: InstanceTracker, connected: bool = False
     ) -> None:
-        self._taxonomy, self._instances = taxonomy, instances
+        self._taxonomy, self._tracker, self._connected = taxonomy, tracker, connected
         self._leaves = {n.class_ids[0]: n for n in taxonomy.nodes if n.leaf}
         self._class_of = {n.name: class_id for class_id, n in self._leaves.items()}
         roles = Roles(taxonomy)
         self._role_of = {k: roles.of(node.path) for k, node in self._leaves.items()}
         self._floor_classes = {
-            k
-            for k, node in self._leaves.items()
-            if self._role_of[k] == "floor" and not roles.is_ceiling(node.path)
+            k for k, node in self._leaves.items() if roles.kind(node.path) == "floor"
         }
-        self._colours = colour_table()
-        self.objects: dict[int, GrowingObject] = {}
-        self._twins = Twins(self.objects, VOXEL_M)
-        contact_m = RelationOptions.contact_m + VOXEL_M
-        self._live = SceneRelations(self._outline, RelationOptions(contact_m))
-        self._poses: dict[int, Array] = {}
+        self._colour_table = colour_table()
+        self._colours = PixelCounts(len(COLOUR_NAMES))
+        self._labels = PixelCounts(len(taxonomy) + 1)
+        self._surfaces = Surfaces(tracker)
+        self._twins = Twins(self._surfaces)
+        contact_m = RelationOptions.contact_m + _VOXEL_M
+        self._relations = SceneRelations(self._outline, RelationOptions(contact_m))
         self._fans: list[ViewFan] = []
         self._cameras: list[Array] = []  # positions of the first fans, until a pose changes
         self._seen: set[tuple[int, int]] = set()
+        self._classes: dict[int, int] = {}  # of the shown objects
         self._compared: dict[int, int] = {}
-        self._young: dict[int, int] = {}
         self._floors: Floors | None = None
-        self._floor_size, self._next = 0, 1
+        self._floor_size = 0
 
     def update(self, atlas: Atlas, metres_per_unit: float = 1.0) -> None:
         """Add the newest keyframes of the active submap, and follow corrections of poses.
 
         Args:
-            atlas: all submaps.
+            atlas: all submaps; the tracker has seen its keyframes.
             metres_per_unit: length of the unit of the atlas; the scene is in metres.
         """
         number, keyframes = atlas.active, atlas.keyframes
@@ -111,232 +104,216 @@ class GrowingScene:
         for keyframe in reversed(new):
             self._seen.add((number, keyframe.index))
             self._add(number, keyframe, metres_per_unit)
-            self._forget_errors()
-        self._merge_instances()
+        self._read(metres_per_unit)
         self._fit_floor()
         if self._floors is not None:
-            self._live.update(self._floors, self._cameras_m(), _OBJECTS_PER_KEYFRAME)
+            self._relations.update(self._floors, self._cameras_m(), _OBJECTS_PER_KEYFRAME)
 
     def finish(self, atlas: Atlas, metres_per_unit: float = 1.0) -> None:
         """Follow the last corrections, join objects of several submaps, compare all objects."""
         self._follow(atlas, metres_per_unit)
-        self._merge_instances()
-        if self._instances is None:
-            for kept, gone in self._twins.pairs(self._poses):
-                self._absorb(kept, gone)
+        if not self._connected:
+            self._surfaces.twins.clear()  # the tracker has joined its objects
+        self._read(metres_per_unit)
+        if self._connected:
+            self._join_all(metres_per_unit)
         self._floor_size = 0
         self._fit_floor()
-        self._live.all_changed()
+        self._relations.all_changed()
         if self._floors is not None:
-            self._live.update(self._floors, self._cameras_m())
-
-    def content(self) -> dict[str, Any] | None:
-        """The graph in node-link format; None before the floor is known."""
-        snapshot = self.snapshot()
-        return None if snapshot is None else snapshot_content(snapshot, self._taxonomy)
+            self._relations.update(self._floors, self._cameras_m())
 
     def snapshot(self) -> Snapshot | None:
         """The scene at this time; None before the floor is known."""
         if self._floors is None:
             return None
-        points = {n: self._points(n) for n in sorted(self.objects)}
-        roles = {n: self._role(one) for n, one in self.objects.items()}
+        seen = self._views()
+        objects = [
+            SeenObject(
+                number,
+                class_id,
+                COLOUR_NAMES[int(self._colours.of(self._surfaces.parts[number]).argmax())],
+                round(self._confidence(number), 4),
+                *seen[number],
+            )
+            for number, class_id in sorted(self._classes.items())
+        ]
+        points_m = self._surfaces.points_m(self._classes)
+        fans_m = [fan.world_m(self._surfaces.poses) for fan in self._fans]
         return Snapshot(
-            self.objects,
-            points,
-            roles,
-            {n: self._leaves[one.class_id] for n, one in self.objects.items()},
-            [n for n, one in sorted(self.objects.items()) if one.class_id in self._floor_classes],
-            self._live.relations(),
+            objects,
+            {number: own.astype(np.float32) for number, own in points_m.items()},
+            self._relations.relations(),
             self._floors.ground,
-            self._fans,
-            self._poses,
+            np.array(fans_m, np.float32),
         )
+
+    def content(self) -> dict[str, Any] | None:
+        """The graph in node-link format; None before the floor is known."""
+        snapshot = self.snapshot()
+        return None if snapshot is None else snapshot.content(self._taxonomy)
 
     def _add(self, submap: int, keyframe: Keyframe, metres_per_unit: float) -> None:
-        segments = self._segments(submap, keyframe)
-        if segments is None or not len(segments):
+        record = self._tracker.record_of(submap, keyframe.index)
+        if record is None:
             return
         self._fans.append(fan_of(submap, keyframe, metres_per_unit))
-        roles = [self._role_of.get(int(k), "object") for k in segments.class_ids]
-        scale = np.array([1.0 if role == "object" else _COARSER for role in roles])
-        voxels = voxels_of_segments(
-            segments, keyframe, VOXEL_M * scale, metres_per_unit, self._colours
-        )
-        for k, found in voxels.items():
-            number = int(segments.objects[k - 1])
-            class_id = int(segments.class_ids[k - 1])
-            number = number or self._owner(submap, class_id, found)
-            if number or len(found.keys) >= _MIN_VOXELS:
-                self._see(number, class_id, submap, keyframe.index, found)
+        step = sampling_step(keyframe.camera.width)
+        rgb = sampled(keyframe.rgb.numpy(), step) >> 3
+        self._colours.add(record, self._colour_table[rgb[0], rgb[1], rgb[2]])
+        if keyframe.class_ids is not None:
+            self._labels.add(record, sampled(keyframe.class_ids.numpy(), step))
 
-    def _see(
-        self, number: int, class_id: int, submap: int, index: int, found: SegmentVoxels
-    ) -> None:
-        """Add a segment to an object, which is new if its number is unknown or 0."""
-        if number == 0:
-            number, self._next = self._next, self._next + 1
-        if number not in self.objects:
-            self.objects[number] = GrowingObject(number, class_id, index, index)
-            self._young[number] = 0
-        one = self.objects[number]
-        one.class_id = class_id
-        is_new = submap not in one.fragments
-        one.see(index, submap, found, self._confidence(number))
-        if is_new and self._instances is None and len(self._poses) > 1:
-            other = self._twins.of(number, submap, self._poses)
-            if other:
-                self._absorb(other, number)
-                return
-        if one.size > (1.0 + _GROWN) * self._compared.get(number, 0):
-            self._compared[number] = one.size
-            self._live.changed(number, self._role(one))
+    def _read(self, metres_per_unit: float) -> None:
+        """Take over the objects of the tracker; those that are new or have grown are compared."""
+        surfaces = self._surfaces
+        surfaces.read(metres_per_unit)
+        known = self._classes
+        self._classes = self._shown()
+        for number in [n for n in known if n not in self._classes]:
+            self._relations.remove(number)
+            self._compared.pop(number, None)
+        twins = {n: self._twin(n, known) for n in self._classes if n not in known}
+        twins = {number: other for number, other in twins.items() if other}
+        if twins:
+            surfaces.twins |= twins
+            surfaces.read(metres_per_unit)
+            self._classes = {n: k for n, k in self._classes.items() if n not in twins}
+        for number in self._classes:
+            size = int(surfaces.sizes[number])
+            if size > (1.0 + _GROWN) * self._compared.get(number, 0):
+                self._compared[number] = size
+                self._relations.changed(number, self._role(number))
 
-    def _segments(self, submap: int, keyframe: Keyframe) -> Segments | None:
-        tracker = self._instances
-        if tracker is None:
-            return labelled_segments(keyframe)
-        record = next(
-            (
-                r
-                for r in reversed(tracker.records[-8:])
-                if (r.index, r.submap) == (keyframe.index, submap)
-            ),
-            None,
-        )
-        if record is None:
-            return None
-        numbers = np.array([tracker.current(int(n)) if n else 0 for n in record.objects], np.int32)
-        classes = np.array([self._class_of_instance(int(n)) for n in numbers], np.int32)
-        if keyframe.class_ids is not None and ((classes == 0) & (numbers > 0)).any():
-            # Models name classes that the labels lack, such as "couch" for "sofa".
-            labels = sampled(keyframe.class_ids.numpy(), sampling_step(keyframe.camera.width))
-            seen = labels_of_masks(record.ids, labels, len(numbers))
-            classes = np.where(classes > 0, classes, seen)
-        return masked_segments(keyframe, record, numbers, classes)
+    def _shown(self) -> dict[int, int]:
+        """The class of each object that is not noise."""
+        surfaces = self._surfaces
+        large = [
+            number
+            for number in surfaces.parts
+            if surfaces.sizes[number] >= _MIN_VOXELS and surfaces.views(number) >= _MIN_VIEWS
+        ]
+        classes = {number: self._class(number) for number in large}
+        return {number: class_id for number, class_id in classes.items() if class_id}
 
-    def _class_of_instance(self, number: int) -> int:
-        one = self._instances.objects.get(number) if self._instances and number else None
-        name = None if one is None else one.class_name
-        return 0 if name is None else self._class_of.get(name, 0)
+    def _class(self, number: int) -> int:
+        """The class of an object: that of its masks if the taxonomy has it, else of the labels."""
+        parts = self._surfaces.parts[number]
+        weights: dict[str, float] = {}
+        for part in parts:
+            for name, weight in self._tracker.objects[part].classes.items():
+                weights[name] = weights.get(name, 0.0) + weight
+        best = max(weights, key=lambda name: weights[name], default="")
+        if best in self._class_of:
+            return self._class_of[best]
+        counts = self._labels.of(parts)
+        counts[0] = 0
+        return int(counts.argmax())
+
+    def _twin(self, number: int, among: Iterable[int], touching: bool = False) -> int:
+        """The object of the same class that is the same one; 0 for none."""
+        class_id = self._classes[number]
+        others = [n for n in among if self._classes.get(n) == class_id]
+        return self._twins.of(number, others, touching)
+
+    def _join_all(self, metres_per_unit: float) -> None:
+        """Join objects of one class whose surfaces coincide or touch."""
+        for number in sorted(self._classes):
+            while number in self._classes:
+                other = self._twin(number, self._classes, touching=True)
+                if not other:
+                    break
+                kept, gone = sorted((number, other))
+                self._surfaces.twins[gone] = kept
+                self._read(metres_per_unit)
+
+    def _views(self) -> dict[int, tuple[int, int, int]]:
+        """The first and the last keyframe with a mask of each object, and their number."""
+        records = self._tracker.records
+        index = np.repeat([r.index for r in records], [len(r.objects) for r in records])
+        objects = np.concatenate([np.zeros(0, np.int32), *(r.objects for r in records)])
+        owner = self._surfaces.table[objects]
+        pairs = np.unique(np.stack([owner, index.astype(np.int32)]), axis=1)
+        starts = np.flatnonzero(np.diff(pairs[0], prepend=-1))
+        ends = [*starts[1:], pairs.shape[1]]
+        return {
+            int(pairs[0, a]): (int(pairs[1, a]), int(pairs[1, b - 1]), int(b - a))
+            for a, b in zip(starts, ends, strict=True)
+        }
 
     def _confidence(self, number: int) -> float:
-        one = self._instances.objects.get(number) if self._instances else None
-        return 1.0 if one is None else one.mean_score
-
-    def _owner(self, submap: int, class_id: int, found: SegmentVoxels) -> int:
-        """The object of a segment, after merging those that the segment connects; 0 for none."""
-        owners = []
-        for number, one in self.objects.items():
-            if one.class_id != class_id or submap not in one.fragments:
-                continue
-            part = one.fragments[submap]
-            shared = part.overlap(found.keys)
-            least = _SHARED * min(len(found.keys), len(part.keys))
-            if shared >= max(MIN_SHARED, least):
-                owners.append(number)
-        for other in owners[1:]:
-            self._absorb(owners[0], other)
-        return owners[0] if owners else 0
-
-    def _absorb(self, kept: int, gone: int) -> None:
-        self.objects[kept].absorb(self.objects.pop(gone))
-        self._compared.pop(gone, None)
-        self._live.remove(gone)
-        self._live.changed(kept, self._role(self.objects[kept]))
-
-    def _forget_errors(self) -> None:
-        """Remove objects that no keyframe saw again soon."""
-        for number in list(self._young):
-            one = self.objects.get(number)
-            if one is None or one.views > 1:
-                del self._young[number]
-                continue
-            self._young[number] += 1
-            if self._young[number] > _YOUNG:
-                del self._young[number], self.objects[number]
-                self._compared.pop(number, None)
-                self._live.remove(number)
-
-    def _merge_instances(self) -> None:
-        """Merge what the tracker of instances has merged."""
-        tracker = self._instances
-        if tracker is None:
-            return
-        for number in [n for n in self.objects if n in tracker.merged]:
-            kept = tracker.current(number)
-            if kept not in self.objects:
-                one = self.objects[number]
-                self.objects[kept] = GrowingObject(kept, one.class_id, one.first, one.last)
-            self._absorb(kept, number)
+        parts = [self._tracker.objects[part] for part in self._surfaces.parts[number]]
+        return sum(part.score for part in parts) / max(sum(part.views for part in parts), 1)
 
     def _follow(self, atlas: Atlas, metres_per_unit: float) -> None:
         """Take over the poses of submaps; all relations are computed again if one was corrected."""
-        moved = False
+        moved, poses = False, self._surfaces.poses
         for number in range(len(atlas)):
             T = atlas.T_world_submap(number).copy()
             T[:3, 3] *= metres_per_unit
-            before = self._poses.get(number)
+            before = poses.get(number)
             moved |= before is not None and bool(np.abs(T - before).max() > _MOVED)
             if before is None or not np.array_equal(T, before):
                 self._cameras.clear()
-            self._poses[number] = T
+            poses[number] = T
         if moved:
             self._twins.moved()
-            self._live.all_changed()
+            self._relations.all_changed()
 
     def _fit_floor(self) -> None:
         """Fit the floor when it has grown."""
-        floors = [n for n, one in self.objects.items() if one.class_id in self._floor_classes]
-        size = sum(self.objects[n].size for n in floors)
+        floors = [n for n, class_id in self._classes.items() if class_id in self._floor_classes]
+        size = int(self._surfaces.sizes[floors].sum())
         if not self._fans or size < max(_MIN_FLOOR, _FLOOR_GROWTH * self._floor_size):
             return
         self._floor_size = size
-        points = [thinned(self._points(n), _FLOOR_POINTS) for n in floors]
-        found = fitted_floors(np.concatenate(points), self._cameras_m())
+        points_m = self._surfaces.points_m(floors).values()
+        points = np.concatenate([thinned(own, _FLOOR_POINTS) for own in points_m])
+        found = fitted_floors(points, self._cameras_m())
         if found is None:
             return
         before, self._floors = self._floors, found
         if before is None or not same_floors(before, found):
-            self._live.all_changed()
+            self._relations.all_changed()
 
-    def _role(self, one: GrowingObject) -> Role:
-        return self._role_of[one.class_id]
-
-    def _points(self, number: int) -> Array:
-        return self.objects[number].points_m(self._poses)
+    def _role(self, number: int) -> Role:
+        return self._role_of[self._classes[number]]
 
     def _outline(self, number: int) -> Array:
         """Some points of an object, which suffice for its relations."""
-        return thinned(self._points(number), _OUTLINE_POINTS)
+        return thinned(self._surfaces.points_m([number])[number], _OUTLINE_POINTS)
 
     def _cameras_m(self) -> Array:
         if not self._fans:
             return np.zeros((0, 3))
         for fan in self._fans[len(self._cameras) :]:
-            self._cameras.append(fan.camera_m(self._poses))
+            self._cameras.append(fan.camera_m(self._surfaces.poses))
         return np.stack(thinned(self._cameras, _MAX_CAMERAS))
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
-        """Arrays and JSON values from which `restore` continues identically."""
-        arrays: dict[str, NDArray] = {}
-        values: dict[str, Any] = {"objects": [], "live": self._live.values(), "next": self._next}
-        for number, one in self.objects.items():
-            own, described = one.state()
-            arrays |= {f"objects/{number}/{name}": array for name, array in own.items()}
-            values["objects"].append(described)
-        for number, body in self._live.bodies.items():
+        """Arrays and JSON values from which `restore` continues identically.
+
+        The tracker is not part of it.
+        """
+        arrays = {f"colours/{name}": a for name, a in self._colours.state().items()}
+        arrays |= {f"labels/{name}": a for name, a in self._labels.state().items()}
+        for number, body in self._relations.bodies.items():
             arrays[f"bodies/{number}"] = body.points
-        for number, T in self._poses.items():
+        for number, T in self._surfaces.poses.items():
             arrays[f"poses/{number}"] = T
         for k, fan in enumerate(self._fans):
             arrays[f"fans/{k}"] = fan.points_m
         arrays["seen"] = np.array(sorted(self._seen), np.int64).reshape(-1, 2)
-        values["fans"] = [fan.submap for fan in self._fans]
-        values["poses"] = list(self._poses)
-        values["young"] = list(map(list, self._young.items()))
-        values["compared"] = list(map(list, self._compared.items()))
-        values["floor_size"] = self._floor_size
+        values: dict[str, Any] = {
+            "relations": self._relations.values(),
+            "fans": [fan.submap for fan in self._fans],
+            "poses": list(self._surfaces.poses),
+            "twins": list(map(list, self._surfaces.twins.items())),
+            "classes": list(map(list, self._classes.items())),
+            "compared": list(map(list, self._compared.items())),
+            "floor_size": self._floor_size,
+            "metres_per_unit": self._surfaces.metres_per_unit,
+        }
         if self._floors is not None:
             arrays["up"] = self._floors.ground.up
             values["height_m"] = self._floors.ground.height_m
@@ -344,26 +321,27 @@ class GrowingScene:
         return arrays, values
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
-        """Restore an earlier `state`."""
-        self.objects.clear()
+        """Restore an earlier `state`, after that of the tracker."""
         self._cameras.clear()
-        self.objects |= {
-            int(one["number"]): GrowingObject.from_state(
-                arrays_below(arrays, f"objects/{one['number']}/"), one
-            )
-            for one in values["objects"]
-        }
-        self._poses = {int(n): np.array(arrays[f"poses/{n}"]) for n in values["poses"]}
+        self._colours.restore(arrays_below(arrays, "colours/"))
+        self._labels.restore(arrays_below(arrays, "labels/"))
+        self._surfaces.poses |= {int(n): np.array(arrays[f"poses/{n}"]) for n in values["poses"]}
+        self._surfaces.twins |= _pairs(values["twins"])
+        self._surfaces.read(float(values["metres_per_unit"]))
         self._fans = [
             ViewFan(int(submap), np.array(arrays[f"fans/{k}"]))
             for k, submap in enumerate(values["fans"])
         ]
         self._seen = {(int(submap), int(index)) for submap, index in arrays["seen"]}
-        self._young = {int(n): int(age) for n, age in values["young"]}
-        self._compared = {int(n): int(size) for n, size in values["compared"]}
-        self._floor_size, self._next = int(values["floor_size"]), int(values["next"])
+        self._classes, self._compared = _pairs(values["classes"]), _pairs(values["compared"])
+        self._floor_size = int(values["floor_size"])
         if "up" in arrays:
             ground = Ground(np.array(arrays["up"]), float(values["height_m"]))
             self._floors = Floors(ground, Storeys([float(h) for h in values["storeys_m"]]))
-        bodies = {int(n): Body(np.array(arrays[f"bodies/{n}"])) for n in values["live"]["bodies"]}
-        self._live.restore(values["live"], bodies)
+        relations = values["relations"]
+        bodies = {int(n): Body(np.array(arrays[f"bodies/{n}"])) for n in relations["bodies"]}
+        self._relations.restore(relations, bodies)
+
+
+def _pairs(rows: list[list[int]]) -> dict[int, int]:
+    return {int(a): int(b) for a, b in rows}

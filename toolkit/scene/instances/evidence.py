@@ -18,9 +18,15 @@ MIN_APART = 2
 
 
 class PairEvidence:
-    """Counts of frames for pairs of objects that were visible together."""
+    """Counts of frames for pairs of objects that were visible together.
 
-    def __init__(self) -> None:
+    Args:
+        connected: objects that a mask covered once are one, whatever others say: masks are
+            connected surfaces, of which each view may show pieces.
+    """
+
+    def __init__(self, connected: bool = False) -> None:
+        self._connected = connected
         self._counts: dict[Pair, list[int]] = {}
 
     def add(self, pair: Iterable[int], together: bool) -> None:
@@ -37,6 +43,8 @@ class PairEvidence:
     def are_one(self, a: int, b: int) -> bool:
         """Whether the masks say that two objects are one."""
         together, apart = self.counts(a, b)
+        if self._connected:
+            return together > 0
         return together >= _MIN_TOGETHER and together >= _RATIO * apart
 
     def are_apart(self, a: int, b: int) -> bool:

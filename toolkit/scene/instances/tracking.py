@@ -37,6 +37,8 @@ _MIN_VOXELS, _MIN_VISIBLE = 3, 4
 _SETTLED_VIEWS = 2
 # Maximum number of masks in a frame; the smallest ones beyond are ignored.
 _MAX_MASKS = 4000
+# Number of records among which that of a new keyframe is.
+_LAST_RECORDS = 8
 # Minimum fraction of a mask with one class label.
 _MIN_CLASS = 0.5
 
@@ -48,6 +50,7 @@ class InstanceTracker:
         options: size of voxels and of objects.
         source: yields the masks of keyframes; None to keep the objects of a loaded map only.
         class_names: names of the class ids of keyframes, for masks without a class.
+        connected: masks are connected surfaces, and objects are what they connect.
 
     Attributes:
         source: yields the masks, or None.
@@ -56,6 +59,7 @@ class InstanceTracker:
         records: the masks of all keyframes, in order.
         evidence: which objects are one, and which are not.
         merged: objects that became part of others, by number.
+        votes: of the keyframes of each submap for the objects in its voxels.
         embedded: length of the masks' embeddings and name of their model; None without.
     """
 
@@ -64,16 +68,17 @@ class InstanceTracker:
         options: InstanceOptions,
         source: MaskSource | None,
         class_names: Mapping[int, str] | None = None,
+        connected: bool = False,
     ) -> None:
         self.options = options
         self.objects: dict[int, TrackedObject] = {}
         self.records: list[KeyframeMasks] = []
-        self.evidence = PairEvidence()
+        self.evidence = PairEvidence(connected)
         self.merged: dict[int, int] = {}
         self.embedded: tuple[int, str] | None = None
         self.saved: SavedObjects | None = None
         self.source, self._class_names = source, class_names or {}
-        self._votes: dict[int, VoxelVotes] = {}
+        self.votes: dict[int, VoxelVotes] = {}
         self._seen: set[tuple[int, int]] = set()
         self._next = 1
 
@@ -128,7 +133,7 @@ class InstanceTracker:
         self._check_embeddings(masks, keyframe.index)
         step = sampling_step(keyframe.camera.width)
         ids = sampled(masks.ids, step)
-        votes = self._votes.setdefault(submap, VoxelVotes(self.options.voxel_m))
+        votes = self.votes.setdefault(submap, VoxelVotes(self.options.voxel_m))
         depth_m = keyframe.depth_m.numpy()
         pose = keyframe.T_map_camera
         seen = MaskedVoxels.of(ids, depth_m, keyframe.camera, pose, self.options.voxel_m)
@@ -169,7 +174,7 @@ class InstanceTracker:
         if keyframe.class_ids is None or all(name is not None for name in classes):
             return classes
         labels = sampled(keyframe.class_ids.numpy(), step)
-        best = labels_of_masks(ids, labels, len(masks))
+        best = _labels_of_masks(ids, labels, len(masks))
         for k, name in enumerate(classes):
             if name is None and best[k] > 0:
                 classes[k] = self._class_names.get(int(best[k]))
@@ -231,6 +236,11 @@ class InstanceTracker:
             if one.parent == gone:
                 one.parent = kept if one.number != kept else 0
 
+    def record_of(self, submap: int, index: int) -> KeyframeMasks | None:
+        """The masks of one of the last keyframes, None if it has none."""
+        newest = reversed(self.records[-_LAST_RECORDS:])
+        return next((r for r in newest if (r.index, r.submap) == (index, submap)), None)
+
     def settled(self, number: int) -> bool:
         """Whether an object was seen often enough to keep its voxels below a mask of several."""
         return self.objects[number].views >= _SETTLED_VIEWS
@@ -251,7 +261,7 @@ class InstanceTracker:
             points_m: [N, 3] in the frame of the submap.
             T_world_submap: [4, 4]; the world of a loaded map is that of its objects.
         """
-        votes = self._votes.get(submap)
+        votes = self.votes.get(submap)
         if votes is not None:
             return votes.owner_at(points_m)
         if self.saved is None or not (self.saved.submap == submap).any():
@@ -270,7 +280,7 @@ class InstanceTracker:
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""
         arrays = {f"records/{name}": array for name, array in records_state(self.records).items()}
-        for submap, votes in self._votes.items():
+        for submap, votes in self.votes.items():
             arrays |= {f"votes/{submap}/{name}": a for name, a in votes.state().items()}
         objects = list(self.objects.values())
         vectors = [one.embeddings.vectors().reshape(-1) for one in objects]
@@ -286,7 +296,7 @@ class InstanceTracker:
             "views": [one.embeddings.values() for one in objects],
             "embedded": self.embedded,
             "merged": [[a, b] for a, b in self.merged.items()],
-            "submaps": list(self._votes),
+            "submaps": list(self.votes),
             "next": self._next,
         }
         return arrays, values
@@ -294,10 +304,10 @@ class InstanceTracker:
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
         """Restore an earlier `state`."""
         self.records = restored_records(arrays_below(arrays, "records/"))
-        self._votes = {}
+        self.votes = {}
         for submap in values["submaps"]:
-            self._votes[submap] = VoxelVotes(self.options.voxel_m)
-            self._votes[submap].restore(arrays_below(arrays, f"votes/{submap}/"))
+            self.votes[submap] = VoxelVotes(self.options.voxel_m)
+            self.votes[submap].restore(arrays_below(arrays, f"votes/{submap}/"))
         saved = arrays_below(arrays, "saved/")
         self.saved = None
         if saved:
@@ -320,7 +330,7 @@ class InstanceTracker:
             row += len(own)
 
 
-def labels_of_masks(
+def _labels_of_masks(
     ids: NDArray[np.integer], labels: NDArray[np.integer], count: int
 ) -> NDArray[np.intp]:
     """The label [K] of at least half of the labelled pixels of each mask, 0 for none.

@@ -196,7 +196,7 @@ class ShownObject:
         relations: lines about its relations.
         storey: name of its storey, empty if there is only one.
         path: names of its class, from the root of the class tree.
-        voxels_m: [V, 3] points of its surface, about one in each voxel of 5 cm; None if only its
+        voxels_m: [V, 3] points of its surface, about one in each voxel of 4 cm; None if only its
             box is known.
     """
 
@@ -207,7 +207,7 @@ class ShownObject:
     relations: tuple[str, ...] = ()
     storey: str = ""
     path: tuple[str, ...] = ()
-    voxels_m: NDArray[np.float64] | None = None
+    voxels_m: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True)

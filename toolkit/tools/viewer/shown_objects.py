@@ -18,7 +18,7 @@ _SIGNS = np.array([corner[::-1] for corner in itertools.product((-0.5, 0.5), rep
 
 
 def graph_objects(
-    graph: Mapping[str, Any], voxels_m: Mapping[int, NDArray[np.float64]] | None = None
+    graph: Mapping[str, Any], voxels_m: Mapping[int, NDArray[np.float32]] | None = None
 ) -> tuple[ShownObject, ...]:
     """Return the objects of a graph in node-link format, by storey, room and number.
 
