@@ -4,6 +4,8 @@ Knows: `system` (one frame's way), `tracking` (poses against the map), `mapping`
 keyframes), `submaps`, `loops` (from a candidate to a correction), `refinement`, `pacing` (frames
 at camera rate), `listeners` (who is told how the map grows).
 In: frames with depth. Out: poses, submaps, loops.
-For others: `system.Slam`, `result.SlamResult`, `submaps.submap.Submap`, `loops.closing`,
-`refinement`, `pacing.paced.PacedSlam`.
+For others: `system`, `result`, `listeners`, `front_end`, `frame_preparation`, `ignored_frames`,
+`length_unit`, `submaps`, `refinement.fusion`, `pacing`, `tracking`, `mapping`, `loops.closing`,
+`loops.correction`, `loops.log`, `loops.registration`, `loops.splat_maps`, `loops.two_maps`,
+`loops.verification`.
 """
