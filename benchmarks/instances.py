@@ -146,7 +146,7 @@ def _scored(name: str, seed: int) -> Metrics:
     sources: dict[str, MaskSource] = {
         **{row: TrueMasks(folder, faults, seed) for row, faults in FAULTS.items()},
         GEOMETRIC: GeometricMasks(),
-        UNLABELLED: GeometricMasks(use_labels=False),
+        UNLABELLED: GeometricMasks("ignored"),
     }
     options = InstanceOptions()
     trackers = {

@@ -79,7 +79,10 @@ def share_kept(before: Path, after: Path) -> float:
 def test_a_continued_map_keeps_its_objects(walks, tmp_path, capsys, options):
     a, _, recordings = walks
     saved, out = shutil.copytree(a, tmp_path / "saved"), tmp_path / "run"
-    assert main(walk(recordings[1], out, "--map", str(saved), *options)) == 0
+    continued = ["--map", str(saved), "--scene.graph", *options]
+    assert main(walk(recordings[1], out, *continued)) == 0
+    graph = json.loads((out / "scene_graph.json").read_text())
+    assert any(node["kind"] == "object" for node in graph["nodes"])
     before, after = objects_of(a), objects_of(out)
     assert share_kept(a, out) > 0.99
     for number in set(before) & set(after):

@@ -116,7 +116,9 @@ def _build_listeners(
                 "--scene.graph needs class labels: use a dataset with label images, or add a "
                 "segmenter with --segmenter.kind"
             )
-        listeners.append(SceneListener(taxonomy, instances, recorder))
+        # A continued map keeps its objects without masks, which new keyframes do not extend.
+        tracker = instances if instances is not None and instances.source is not None else None
+        listeners.append(SceneListener(taxonomy, tracker, recorder))
     return listeners
 
 

@@ -40,7 +40,8 @@ class SceneListener:
         self, taxonomy: Taxonomy, tracker: InstanceTracker | None, recorder: Recorder
     ) -> None:
         names = dict(enumerate(taxonomy.classes, start=1))
-        surfaces = InstanceTracker(InstanceOptions(), GeometricMasks(), names, connected=True)
+        masks = GeometricMasks("required")
+        surfaces = InstanceTracker(InstanceOptions(), masks, names, connected=True)
         self._own = surfaces if tracker is None else None
         self.scene = GrowingScene(taxonomy, tracker or surfaces, connected=tracker is None)
         self._recorder = recorder

@@ -6,6 +6,8 @@ falls into its surfaces; the merging of objects over views joins those that othe
 
 from __future__ import annotations
 
+from typing import Literal
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -34,18 +36,21 @@ class GeometricMasks:
     without labels, it also ends at folds and at edges of colour.
 
     Args:
-        use_labels: use the class labels of keyframes that have them.
+        labels: how the class labels of keyframes are used; if they are required, keyframes without
+            them have no masks.
     """
 
-    def __init__(self, use_labels: bool = True) -> None:
-        self._use_labels = use_labels
+    def __init__(self, labels: Literal["used", "required", "ignored"] = "used") -> None:
+        self._labels = labels
 
     def masks(self, keyframe: Keyframe) -> InstanceMasks | None:
         """Return the segments of a keyframe."""
+        if self._labels == "required" and keyframe.class_ids is None:
+            return None
         step = sampling_step(keyframe.camera.width)  # more pixels are not compared
         depth_m = np.ascontiguousarray(sampled(keyframe.depth_m.numpy(), step))
         labels = None
-        if self._use_labels and keyframe.class_ids is not None:
+        if self._labels != "ignored" and keyframe.class_ids is not None:
             labels = sampled(keyframe.class_ids.numpy(), step)
         smooth = depth_m > 0
         smooth &= ~depth_steps(depth_m)
