@@ -36,7 +36,7 @@ def nodes_of(content: dict, name: str) -> list[dict]:
 def test_objects_have_their_places_relations_and_room(keyframes):
     atlas = OneSubmap()
     scene = grown(keyframes, new_scene(TAXONOMY), atlas)
-    scene.finished(atlas, [None])
+    scene.finished(atlas, 1.0, [])
     content = scene.scene.content()
     assert len(nodes_of(content, "floor")) == len(nodes_of(content, "room 1")) == 1
     (floor,) = nodes_of(content, "floor")
@@ -87,10 +87,10 @@ def test_a_resumed_scene_continues_identically(keyframes):
 def test_corrections_of_loops_move_the_graph(keyframes):
     atlas = OneSubmap()
     scene = grown(keyframes, new_scene(TAXONOMY), atlas)
-    scene.finished(atlas, [None])
+    scene.finished(atlas, 1.0, [])
     before = scene.scene.content()
     atlas.pose = se3.exp(np.array([1.0, -0.5, 0.3, 0.0, 0.0, 0.4]))
-    scene.finished(atlas, [None])
+    scene.finished(atlas, 1.0, [])
     after = scene.scene.content()
     assert len(before["nodes"]) == len(after["nodes"])
     centre = np.array(nodes_of(before, "table")[0]["box"]["centre_m"])

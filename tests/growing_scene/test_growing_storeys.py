@@ -39,7 +39,7 @@ def keyframes() -> list[Keyframe]:
 def finished(views: list[Keyframe], scene: SceneListener, atlas: OneSubmap) -> dict:
     """The graph of a scene after these keyframes."""
     grown(views, scene, atlas)
-    scene.finished(atlas, [None])
+    scene.finished(atlas, 1.0, [])
     return scene.content()
 
 

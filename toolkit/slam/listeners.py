@@ -27,11 +27,10 @@ class MapListener(Protocol):
             metres_per_unit: length of the unit of the atlas.
         """
 
-    def corrected(self, atlas: Atlas, metres_per_unit: float) -> None:
-        """All poses are final."""
-
-    def finished(self, atlas: Atlas, maps: Sequence[FusedMap | None]) -> None:
-        """The maps of all parts are fused; None where one is not readable."""
+    def finished(
+        self, atlas: Atlas, metres_per_unit: float, maps: Sequence[FusedMap | None]
+    ) -> None:
+        """All poses are final, and the maps of all parts fused; None where one is not readable."""
 
     def content(self) -> Any:
         """What it has found, for `SlamResult.heard`; None before the end."""

@@ -318,13 +318,11 @@ class Slam:
                 refine_submaps(self.atlas, self.mapper, poses, progress)
                 if self.mapper.options.final_anchors:
                     align_anchors(self.atlas, self.mapper, parts)
-                for listener in self._listeners:
-                    listener.corrected(self.atlas, 1.0 / self.unit.per_metre)
                 label_saved(self.atlas, self.mapper, parts)
                 free_space = self.mapper.options.free_space
                 self._fused = [fuse(self.atlas, part, free_space) for part in parts]
                 for listener in self._listeners:
-                    listener.finished(self.atlas, self._fused)
+                    listener.finished(self.atlas, 1.0 / self.unit.per_metre, self._fused)
         return self.result()
 
     @property

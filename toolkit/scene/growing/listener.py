@@ -45,23 +45,21 @@ class SceneListener:
         self._own = surfaces if tracker is None else None
         self.scene = GrowingScene(taxonomy, tracker or surfaces, connected=tracker is None)
         self._recorder = recorder
-        self._metres_per_unit, self._ended = 1.0, False
+        self._ended = False
 
     def frame_added(self, atlas: Atlas, metres_per_unit: float) -> None:
         """Extend objects and relations by new keyframes."""
-        self._metres_per_unit = metres_per_unit
         with self._recorder.timed(Stage.SCENE_GRAPH):
             if self._own is not None:
                 self._own.update(atlas.active, atlas.keyframes)
             self.scene.update(atlas, metres_per_unit)
 
-    def corrected(self, atlas: Atlas, metres_per_unit: float) -> None:
-        """Do nothing: the tracker joins objects when the maps are fused."""
-
-    def finished(self, atlas: Atlas, maps: Sequence[FusedMap | None]) -> None:
-        """Compare all objects at their final places."""
-        self.scene.finish(atlas, self._metres_per_unit)
-        self._ended = bool(maps)
+    def finished(
+        self, atlas: Atlas, metres_per_unit: float, _maps: Sequence[FusedMap | None]
+    ) -> None:
+        """Compare all objects at their final places; the tracker has joined its objects."""
+        self.scene.finish(atlas, metres_per_unit)
+        self._ended = True
 
     def content(self) -> dict[str, Any] | None:
         """The graph in node-link format; None before the end, and without a floor."""

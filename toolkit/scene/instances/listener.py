@@ -31,10 +31,9 @@ class InstanceListener:
         with self._recorder.timed(Stage.INSTANCES):
             self.tracker.update(atlas.active, atlas.keyframes)
 
-    def corrected(self, atlas: Atlas, metres_per_unit: float) -> None:
-        """Do nothing: objects are joined when the maps are fused."""
-
-    def finished(self, atlas: Atlas, maps: Sequence[FusedMap | None]) -> None:
+    def finished(
+        self, atlas: Atlas, _metres_per_unit: float, maps: Sequence[FusedMap | None]
+    ) -> None:
         """Give every Gaussian its object."""
         if not self.tracker.is_idle:
             with self._recorder.timed(Stage.INSTANCE_VOTES):
