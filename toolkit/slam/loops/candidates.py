@@ -263,16 +263,8 @@ class CandidateFinder:
     def _evaluate(
         self, number: int, near: Neighbour, limit: float, landmarks: float | None
     ) -> LoopCandidate:
-        # Vectors of the paper's weighting are not of unit length, so that no limit applies.
-        printed = self._landmarks.weighting == "paper"
-        maximum = np.inf if printed else self.options.max_landmark_distance
-        accepted, reason = True, ""
-        if near.distance >= limit:
-            accepted = False
-            reason = f"descriptor distance {near.distance:.3f}, not below {limit:.3f}"
-        elif landmarks is not None and landmarks > maximum:
-            accepted = False
-            reason = f"landmark divergence {landmarks:.3f}, above {maximum:.3f}"
+        accepted = near.distance < limit
+        reason = f"descriptor distance {near.distance:.3f}, not below {limit:.3f}"
         return LoopCandidate(
             query=self._frames[number],
             match=self._frames[near.keyframe],
@@ -281,7 +273,7 @@ class CandidateFinder:
             distance=near.distance,
             cosine=near.cosine,
             landmark_distance=landmarks,
-            reason=reason,
+            reason="" if accepted else reason,
             accepted=accepted,
         )
 

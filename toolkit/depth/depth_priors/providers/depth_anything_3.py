@@ -54,7 +54,7 @@ class DepthAnything3Depth:
         path = weights_of(options)
         package = import_package("depth_anything_3.api", options, _SOURCE)
         network = package.DepthAnything3.from_pretrained(str(path))
-        self._network = network.to(device=device_of(options.device))
+        self._network = network.to(device=device_of("auto"))
         self._min_confidence = options.min_confidence
         licence = "of the checkpoint: Apache 2.0 or CC BY-NC 4.0"
         self.model = PriorModel(f"depth-anything-3 {path.name}", sha256_of(path), licence)

@@ -51,7 +51,7 @@ class MogeDepth:
         path = weights_of(options)
         file = path / _FILE if path.is_dir() else path
         package = import_package("moge.model.v2", options, _SOURCE)
-        self._device = device_of(options.device)
+        self._device = device_of("auto")
         self._network = package.MoGeModel.from_pretrained(str(file)).to(self._device).eval()
         self._metric = hasattr(self._network, "scale_head")
         self.model = PriorModel(f"moge {path.name}", sha256_of(file), "MIT")

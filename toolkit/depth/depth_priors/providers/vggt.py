@@ -54,7 +54,7 @@ class VggtDepth:
         path = weights_of(options)
         models = import_package("vggt.models.vggt", options, _SOURCE)
         self._poses = import_package("vggt.utils.pose_enc", options, _SOURCE)
-        self._device = device_of(options.device)
+        self._device = device_of("auto")
         self._network = models.VGGT.from_pretrained(str(path)).to(self._device).eval()
         self._min_confidence = options.min_confidence
         licence = "of the checkpoint: CC BY-NC 4.0, or VGGT-1B-Commercial's"
