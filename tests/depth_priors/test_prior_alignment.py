@@ -150,9 +150,3 @@ def test_nodes_without_reference_follow_their_neighbours():
     assert np.ptp(grid.slope) < 0.5
     assert (grid.slope > 0).all()
     assert (grid.apply(prior) > 0).all()
-
-
-def test_a_grid_needs_two_nodes():
-    samples = pooled(DepthKind.SCALED, 1.0, 0.0)
-    with pytest.raises(ValueError, match="two nodes"):
-        fit_grid(samples, ScaleShift(1.0), 1, with_shift=False)

@@ -239,17 +239,6 @@ def test_restored_finder_continues_identically(at):
     assert all(state[name].tobytes() == other[name].tobytes() for name in state)
 
 
-def test_keyframe_out_of_order_or_with_other_classes_raises():
-    finder, _ = run_path(count=3)
-    with pytest.raises(ValueError, match="must come after"):
-        finder.add(keyframe(2))
-    with pytest.raises(ValueError, match="must come after"):
-        finder.add(replace(keyframe(3), travelled_m=0.0))
-    with pytest.raises(ValueError, match="class_counts"):
-        finder.add(replace(keyframe(3), class_counts=np.zeros(3, np.int64)))
-    assert len(finder) == 3
-
-
 def test_the_threshold_of_a_describer_separates_similar_views():
     describer = ViewDescriber(BuiltinEncoder())
     candidates = CandidateOptions(

@@ -211,8 +211,6 @@ def fit_grid(samples: Samples, whole: ScaleShift, nodes: int, with_shift: bool) 
         nodes: number of nodes per axis, at least 2.
         with_shift: whether shifts differ between nodes; otherwise only scales do.
     """
-    if nodes < 2:
-        raise ValueError(f"a grid needs at least two nodes per axis, got {nodes}")
     samples = samples.thinned()
     a, b = 1.0 / whole.scale, -whole.shift / whole.scale
     count = nodes * nodes

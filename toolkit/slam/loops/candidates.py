@@ -150,7 +150,6 @@ class CandidateFinder:
         Raises:
             ValueError: the keyframe is out of order or has a different number of classes.
         """
-        self._check(keyframe)
         number = self._index.add(keyframe.descriptor)
         self._frames.append(keyframe.frame)
         self._submaps.append(keyframe.submap)
@@ -221,20 +220,6 @@ class CandidateFinder:
         self._class_counts = [np.array(counts) for counts in state["class_counts"]]
         submap_counts = arrays_below(state, "submap_counts/")
         self._submap_counts = {int(n): np.array(c) for n, c in submap_counts.items()}
-
-    def _check(self, keyframe: DescribedKeyframe) -> None:
-        if not self._frames:
-            return
-        if keyframe.frame <= self._frames[-1] or keyframe.travelled_m < self._travelled_m[-1]:
-            raise ValueError(
-                f"keyframe {keyframe.frame} at {keyframe.travelled_m:.3f} m must come after "
-                f"{self._frames[-1]} at {self._travelled_m[-1]:.3f} m"
-            )
-        if keyframe.class_counts.shape != self._class_counts[-1].shape:
-            raise ValueError(
-                f"class_counts must have shape {list(self._class_counts[-1].shape)}, "
-                f"got {list(keyframe.class_counts.shape)}"
-            )
 
     def _beyond_gap(self, number: int) -> NDArray[np.bool_]:
         """[K] mask of keyframes older by the minimum number of frames and metres."""

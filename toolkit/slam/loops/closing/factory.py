@@ -107,11 +107,7 @@ def build_loop_closer(
 
 
 def _objects(options: LoopClosureOptions, context: ClosingContext) -> ObjectHypotheses | None:
-    """Build the comparison of objects; None if it is off.
-
-    Raises:
-        SettingsError: loops are not verified, or the map has no semantics.
-    """
+    """Build the comparison of objects; None if it is off."""
     if not options.objects.use:
         return None
     if not options.verify:
