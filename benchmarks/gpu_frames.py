@@ -44,7 +44,7 @@ from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.system import Slam
 from toolkit.slam.tracking.dense import DenseTracker
 from toolkit.slam.tracking.first_order_tracker import FirstOrderTracker
-from toolkit.slam.tracking.options import DenseOptions, FirstOrderOptions
+from toolkit.slam.tracking.options import FirstOrderOptions
 from toolkit.splatting.alignment import reference
 from toolkit.splatting.alignment.data import INITIAL_SCALES, FrameLevel, LevelProblem, ModelLevel
 from toolkit.splatting.alignment.levels import finest_level, model_level
@@ -149,7 +149,7 @@ def system(
     device, backend_name = place
     watch = Stopwatch(device, "tracking", "mapping")
     tracker = (
-        DenseTracker(DenseOptions(levels=levels), backend_name=backend_name)
+        DenseTracker(backend_name=backend_name, levels=levels)
         if first_order is None
         else FirstOrderTracker(first_order, backend_name=backend_name)
     )

@@ -188,7 +188,7 @@ def _embeddings(folder: Path) -> None:
 def _depth_map(path: Path) -> None:
     from toolkit.depth.depth_priors.providers.depth_maps import read_map
 
-    assert read_map(path, 1000.0).size > 0
+    assert read_map(path).size > 0
 
 
 def _models(folder: Path) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from benchmarks.instance_costs import COST_COLUMNS, COST_NOTE, COST_TITLE, measure_costs
 from benchmarks.instance_masks import Faults, TrueMasks
+from benchmarks.instance_quality import instance_scores
 from benchmarks.recordings import RECORDINGS, room
 from benchmarks.report import Report, ReportOptions
 from benchmarks.tables import MISSING, Metrics, Rows, Table, table_of
@@ -26,7 +27,6 @@ from toolkit.base.keyframe import Keyframe
 from toolkit.datasets.options import DatasetOptions
 from toolkit.datasets.registry import open_dataset
 from toolkit.runs.building import build_slam
-from toolkit.runs.evaluation.instances import instance_scores
 from toolkit.runs.maps.map_files import splat_labels
 from toolkit.runs.settings import RunSettings
 from toolkit.scene.instances.finishing import finish_instances

@@ -35,15 +35,13 @@ Mask = NDArray[np.bool_]
 MATT, GLOSSY, POLISHED = "matt", "glossy", "polished"
 IGNORED = ", reflections ignored"
 ROOMS = {MATT: "room-small", GLOSSY: "room-glossy", POLISHED: "room-polished"}
-# Each row: variant of the room, degree of the harmonics of the finished map, and whether keyframes
-# are placed without the colour of view-dependent surfaces.
+# Each row: variant of the room, and whether keyframes are placed without the colour of
+# view-dependent surfaces.
 ROWS: dict[str, list[Any]] = {
-    MATT: [MATT, 0, False],
-    GLOSSY: [GLOSSY, 0, False],
-    POLISHED: [POLISHED, 0, False],
-    **{name + IGNORED: [name, 0, True] for name in (MATT, GLOSSY, POLISHED)},
-    "glossy, harmonics of degree 1": [GLOSSY, 1, False],
-    "glossy, harmonics of degree 3": [GLOSSY, 3, False],
+    MATT: [MATT, False],
+    GLOSSY: [GLOSSY, False],
+    POLISHED: [POLISHED, False],
+    **{name + IGNORED: [name, True] for name in (MATT, GLOSSY, POLISHED)},
 }
 SEEDS = range(3)
 # Pixels of a group below this share of a view are not scored.
@@ -114,13 +112,12 @@ def targets(rows: Rows) -> list[Target]:
 
 def measure(job: list[Any], seed: int) -> Metrics:
     """Run one variant; metrics.json, and the unseen views by what they show."""
-    variant, degree, ignored = job
+    variant, ignored = job
     place = room(ROOMS[variant], seed)
     dataset = open_dataset("synthetic", place)
     assert dataset.ground_truth is not None
     values = {
         "dataset": {"kind": "synthetic", "path": str(place)},
-        "mapping": {"final_harmonics": degree},
         "placement": {"ignore_reflections": ignored},
         "seed": seed,
     }

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from benchmarks.registration_pairs import Pair
+from benchmarks.cloud_registration import CloudRegistration
+from benchmarks.registration_pairs import Pair as SubmapPair
+from benchmarks.two_way_registration import TwoWayRegistration
 from toolkit.semantics.features.builtin import BuiltinEncoder
 from toolkit.semantics.features.sources import ViewDescriber
-from toolkit.slam.loops.registration.clouds import CloudRegistration
 from toolkit.slam.loops.registration.coarse import CoarseRegistration
-from toolkit.slam.loops.registration.fine import FineRegistration
+from toolkit.slam.loops.registration.fine import FineRegistration, SourceView, TargetView
 from toolkit.slam.loops.registration.first_order_fine import FirstOrderFineRegistration
 from toolkit.slam.loops.registration.options import RegistrationOptions
 from toolkit.slam.loops.registration.result import Registrar, RegistrationResult
 from toolkit.slam.loops.registration.sgr import SemanticGuidedRegistration
-from toolkit.slam.loops.registration.two_way import TwoWayRegistration
 from toolkit.slam.loops.registration.views import ViewRenderer
+from toolkit.splatting.alignment.joint import Pair
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,14 @@ class Timed:
     result: RegistrationResult
     first_s: float
     second_s: float
+
+
+class _ClassesIgnored(FineRegistration):
+    """The fine stage with the pixels whose classes differ."""
+
+    def _pairs(self, sources: list[SourceView], targets: list[TargetView], far: bool) -> list[Pair]:
+        unlabelled = [replace(s, view=replace(s.view, class_ids=None)) for s in sources]
+        return super()._pairs(unlabelled, targets, far)
 
 
 class Methods:
@@ -45,7 +54,7 @@ class Methods:
         "ICP (start)",
     )
 
-    def __init__(self, pair: Pair, seed: int) -> None:
+    def __init__(self, pair: SubmapPair, seed: int) -> None:
         self._pair, self._seed = pair, seed
         self._coarse: dict[tuple[str, bool], tuple[CoarseRegistration, float]] = {}
         self.rows: dict[str, Callable[[], Timed]] = {
@@ -58,9 +67,7 @@ class Methods:
             "two-way (start)": lambda: self._alone(self._two_way_fine(), True),
             "FPFH, RANSAC, ICP": lambda: self._alone(self._clouds()),
             "ICP (start)": lambda: self._alone(self._clouds(), started=True),
-            "SGR, classes ignored": lambda: self._both(
-                self._sgr(RegistrationOptions(semantic_gate=False))
-            ),
+            "SGR, classes ignored": lambda: self._both(self._without_classes()),
             "SGR, first-order fine (G-6)": lambda: self._both(
                 self._sgr(RegistrationOptions(optimiser="first-order"))
             ),
@@ -79,6 +86,10 @@ class Methods:
         if options.optimiser == "first-order":
             refiner = FirstOrderFineRegistration(options, renderer, ViewDescriber(BuiltinEncoder()))
         return SemanticGuidedRegistration(options, renderer, refiner, self._seed)
+
+    def _without_classes(self) -> SemanticGuidedRegistration:
+        refiner = _ClassesIgnored(renderer=self._renderer())
+        return SemanticGuidedRegistration(None, refiner.renderer, refiner, self._seed)
 
     def _two_way(self) -> SemanticGuidedRegistration:
         refiner = self._two_way_fine()

@@ -155,8 +155,6 @@ TABLES: dict[TableName, tuple[tuple[str, ...], dict[str, Row]]] = {
             "SGR (default)": Row(),
             "coarse alone": _registered_by("coarse"),
             "fine alone": _registered_by("fine"),
-            "coarse, then two-way": _registered_by("two-way"),
-            "FPFH, RANSAC, ICP": _registered_by("clouds"),
         },
     ),
 }

@@ -94,7 +94,7 @@ def options_page() -> str:
         "",
         "This page is generated from the declarations of the options. In a YAML file for "
         "`--config`, the dots of an option separate nested keys and its dashes are underscores: "
-        "`--tracking.dense.levels 3` is `tracking: {dense: {levels: 3}}`. A switch `--x` has the "
+        "`--placement.max-width 160` is `placement: {max_width: 160}`. A switch `--x` has the "
         "opposite `--no-x`.",
     ]
     for job, (_, description) in JOBS.items():

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import pytest
 from mapped_submap import MappedSubmap
 from numpy.typing import NDArray
 
@@ -20,12 +21,13 @@ from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.codes import flat_code
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.mapping import mapper as mapper_module
 from toolkit.slam.mapping.options import MapperOptions
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping
 from toolkit.slam.submaps.submap import Submap
 from toolkit.splatting.losses.semantic import SemanticLoss
 
-QUICK = MapperOptions(first_iterations=4, iterations=6, max_iterations=6)
+QUICK = MapperOptions(first_iterations=4, iterations=6)
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,10 @@ def submap_of(
     """A submap mapped from frames at their true poses."""
     mapper = MappedSubmap(QUICK, np.random.default_rng(number), semantics=semantics)
     T_submap_world = se3.inverse(poses[numbers[0]])
-    for place in numbers:
-        mapper.add_keyframe(Keyframe.from_frame(frames[place], T_submap_world @ poses[place]))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(mapper_module, "_MAX_ITERATIONS", QUICK.iterations)
+        for place in numbers:
+            mapper.add_keyframe(Keyframe.from_frame(frames[place], T_submap_world @ poses[place]))
     return Submap(
         number=number,
         T_world_submap=np.eye(4),

@@ -26,11 +26,11 @@ def test_right_words_are_parsed():
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (["--tracking.dense.levels", "9"], "--tracking.dense.levels: input should be less"),
+        (["--placement.max-width", "9"], "--placement.max-width: input should be greater"),
         (["--nope", "3"], "unknown option --nope; see: semsplat run --help"),
         (
-            ["--tracking.dense.level", "3"],
-            "--tracking.dense.level; did you mean --tracking.dense.levels?",
+            ["--tracking.dense.width", "320"],
+            "--tracking.dense.width; did you mean --tracking.dense.max-width?",
         ),
         (["--max-frame=3"], "unknown option --max-frame; did you mean --max-frames?"),
         (["--seed", "x"], "--seed: invalid literal"),

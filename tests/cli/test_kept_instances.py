@@ -19,7 +19,7 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.maps.saved_objects import load_objects
 from toolkit.tools.cli.main import main
 
-FAST = ["--registration.views", "3", "--registration.pairs", "4"]
+FAST = ["--registration.views", "4"]
 GEOMETRIC = ["--instances.kind", "geometric"]
 
 

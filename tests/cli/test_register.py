@@ -23,7 +23,7 @@ from toolkit.slam.loops import two_maps
 from toolkit.slam.loops.verification import VerificationLimits, rejection_reason
 from toolkit.tools.cli.main import main
 
-FAST = ["--registration.views", "3", "--registration.pairs", "4"]
+FAST = ["--registration.views", "4"]
 
 
 def error_of(capsys, *words: object) -> str:

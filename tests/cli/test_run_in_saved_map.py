@@ -18,6 +18,7 @@ from toolkit.io.splats import read_splats
 from toolkit.io.trajectories import read_tum
 from toolkit.runs import session as program
 from toolkit.runs.maps.finished import load_run
+from toolkit.slam.loops import relocalisation
 from toolkit.slam.loops.log import read_loop_log
 from toolkit.tools.cli.main import main
 
@@ -171,9 +172,10 @@ def test_bad_input(room_runs, tmp_path, capsys, words, said):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_camera_that_is_nowhere_maps_on_its_own(room_runs, tmp_path):
+def test_a_camera_that_is_nowhere_maps_on_its_own(room_runs, tmp_path, monkeypatch):
     """Patience is shorter than the walk, and nothing may count as found."""
-    more = ["--loops.relocalisation.patience", "2", "--loops.relocalisation.min-visible", "1.0"]
+    monkeypatch.setattr(relocalisation, "_MIN_VISIBLE", 1.0)
+    more = ["--loops.relocalisation.patience", "2"]
     words = walk(room_runs.recordings[1], tmp_path / "run", "--map", str(room_runs.a), *more)
     assert main([*words, "--loops.closing.no-between"]) == 0
     frames = json.loads((tmp_path / "run/frames.json").read_text())

@@ -58,13 +58,13 @@ def run(recording: Path, out: Path, *more: str) -> None:
 def test_a_run_finds_and_accepts_a_loop_by_a_vision_transformer(returning, tiny_dinov2, tmp_path):
     kind = ["--loops.features.kind", "dinov2", "--loops.features.folder", str(tiny_dinov2)]
     with kept_checkpoints():
-        run(returning, tmp_path / "run", *SEARCH, *kind, "--loops.features.device", "cpu")
+        run(returning, tmp_path / "run", *SEARCH, *kind)
 
     # The search index has the descriptors of this model, one for each frame.
     newest = max((tmp_path / "run" / "checkpoint").iterdir())
     stored = arrays_below(read_array_tree(newest).arrays, "closer/detector/")["descriptors"]
     assert stored.shape == (len(WAY), 16)
-    options = FeatureOptions(kind="dinov2", folder=tiny_dinov2, device="cpu")
+    options = FeatureOptions(kind="dinov2", folder=tiny_dinov2)
     encoder = build_encoder(options)
     frames, truth = tiny_room(9, 96, 72)
     shown = torch.from_numpy(np.stack([frames[i].rgb for i in WAY])).permute(0, 3, 1, 2)
@@ -94,7 +94,7 @@ def test_a_run_maps_the_classes_of_a_head_on_a_vision_transformer(returning, tin
     model = ["--model", str(tiny_dinov2), "--longest-side", "96"]
     assert main(["train-head", *data, *model, "--out", str(head)]) == 0
     segmenter = ["--segmenter.kind", "model", "--segmenter.model.folder", str(tiny_dinov2)]
-    segmenter += ["--segmenter.model.head", str(head), "--segmenter.model.device", "cpu"]
+    segmenter += ["--segmenter.model.head", str(head)]
     run(returning, tmp_path / "run", *segmenter)
 
     found = read_metrics(tmp_path / "run" / "metrics.json")["semantics"]["mapped"]

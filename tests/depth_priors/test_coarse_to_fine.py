@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from swept_box import CAMERA, FRAMES, IMAGES, T_from_to, relative_error, use_kernels
 
-from toolkit.base.geometry.camera import Camera
 from toolkit.base.native import available_instruction_sets
 from toolkit.depth.depth_priors.coarse_to_fine import Source, image_pair, sweep_depth
 
@@ -57,18 +56,3 @@ def test_images_of_odd_size_have_a_half():
     error = np.abs(1.0 / found.inverse_depth[known] / true[known] - 1.0)
     assert known.mean() > 0.8
     assert np.median(error) < 0.01
-
-
-@pytest.mark.parametrize(
-    ("others", "inverse_depths", "message"),
-    [
-        (sources(0, 1), (0.5, 0.5), "ascending"),
-        (sources(0, 1), (-0.5, 0.5), "ascending"),
-        ([], RANGE, "needs a source"),
-        ([Source(PAIRS[1], np.eye(4), coarse=False)], RANGE, "needs a source"),
-    ],
-)
-def test_unusable_input_is_rejected(others, inverse_depths, message):
-    camera: Camera = CAMERA
-    with pytest.raises(ValueError, match=message):
-        sweep_depth(camera, PAIRS[0], others, inverse_depths)

@@ -43,7 +43,7 @@ def packages(monkeypatch) -> None:
 
 def provider(kind: str, folder: Path, **options):
     (folder / "model.pt").write_bytes(b"weights")
-    model = PriorModelOptions(path=folder, device="cpu", **options)
+    model = PriorModelOptions(path=folder, **options)
     return build_provider(DepthPriorOptions(kind=kind, model=model), [], CAMERA)
 
 

@@ -96,9 +96,6 @@ def test_doubled_depth_interpolates_a_surface(name, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"sources": []}, "needs a source"),
-        ({"planes": Planes(IMAGES[0], 0.0, 8)}, "needs a source"),
-        ({"planes": Planes(IMAGES[0], 0.1, 1)}, "needs a source"),
         ({"planes": Planes(IMAGES[0][1:], 0.1, 8)}, "float32 of shape"),
         ({"intensity": IMAGES[0].astype(np.float64)}, "float32 of shape"),
         ({"intensity": IMAGES[0][:-1]}, "float32 of shape"),

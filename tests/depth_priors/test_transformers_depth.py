@@ -29,7 +29,7 @@ def frame(camera: Camera = CAMERA) -> Frame:
 
 
 def provider(folder: Path, **options):
-    model = PriorModelOptions(path=folder, device="cpu", **options)
+    model = PriorModelOptions(path=folder, **options)
     return build_provider(DepthPriorOptions(kind="transformers", model=model), [], CAMERA)
 
 

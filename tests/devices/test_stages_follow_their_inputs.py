@@ -17,7 +17,7 @@ from toolkit.base.keyframe import Keyframe
 from toolkit.slam.mapping.options import MapperOptions
 from toolkit.slam.tracking.dense import DenseTracker
 from toolkit.slam.tracking.first_order_tracker import FirstOrderTracker
-from toolkit.slam.tracking.options import DenseOptions, FirstOrderOptions
+from toolkit.slam.tracking.options import FirstOrderOptions
 from toolkit.splatting.gaussians.cloud import PARAMETERS, GaussianCloud
 from toolkit.splatting.rendering import map_device
 
@@ -109,7 +109,7 @@ def one_view(walk):
 def tracked(kind: str, frames, gaussians: GaussianCloud):
     """T_map_camera of the second frame."""
     tracker = (
-        DenseTracker(DenseOptions(levels=2))
+        DenseTracker(levels=2)
         if kind == "dense"
         else FirstOrderTracker(FirstOrderOptions(iterations=3))
     )

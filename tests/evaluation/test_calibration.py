@@ -86,17 +86,6 @@ def test_without_pixels_there_is_nothing():
     assert np.isnan(result.table.accuracy).all()
 
 
-@pytest.mark.parametrize("bad", [-0.1, 1.1, np.nan])
-def test_what_is_no_confidence_is_refused(bad):
-    with pytest.raises(ValueError, match=r"within \[0, 1\]"):
-        collected(np.array([0.5, bad]), np.array([True, True]))
-
-
-def test_another_shape_is_refused():
-    with pytest.raises(ValueError, match="the same shape"):
-        Calibration().add(np.ones(3, int), np.ones(3, int), np.ones(2))
-
-
 def test_the_table_has_bins_of_equal_width():
     table = collected(np.array([0.95, 0.97, 0.1]), np.array([True, False, True])).table
     assert table.pixels.tolist() == [0, 1, *[0] * 12, 2]

@@ -113,8 +113,6 @@ def test_it_is_a_distance(lpips):
 def test_images_too_small_for_the_network_have_none(lpips):
     assert lpips(*images(MIN_SIDE, MIN_SIDE)) > 0.0
     assert lpips(*images(MIN_SIDE - 1, 64)) is None
-    with pytest.raises(ValueError, match="the same shape"):
-        lpips(images()[0], images(41, 53)[0])
 
 
 @pytest.mark.parametrize("suffix", [".pth", ".safetensors"])

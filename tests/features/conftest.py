@@ -9,7 +9,7 @@ from places import place
 from toolkit.semantics.features.builtin import BuiltinEncoder, ColourHistogramEncoder
 
 
-@pytest.fixture(params=["builtin", "colour-histogram", "dinov2-class", "dinov2-mean"])
+@pytest.fixture(params=["builtin", "colour-histogram", "dinov2"])
 def encoder(request):
     if request.param == "builtin":
         return BuiltinEncoder()
@@ -17,8 +17,7 @@ def encoder(request):
         return ColourHistogramEncoder()
     from toolkit.semantics.features.dinov2 import Dinov2Encoder
 
-    folder = request.getfixturevalue("tiny_dinov2")
-    return Dinov2Encoder(folder, request.param.split("-")[1], longest_side=40, device="cpu")
+    return Dinov2Encoder(request.getfixturevalue("tiny_dinov2"), longest_side=40, device="cpu")
 
 
 @pytest.fixture

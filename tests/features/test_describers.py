@@ -55,7 +55,7 @@ def test_settings_select_the_encoder(kind):
 
 
 def test_dinov2_from_settings(tiny_dinov2, views):
-    settings = FeatureOptions(kind="dinov2", folder=tiny_dinov2, pooling="mean", device="cpu")
+    settings = FeatureOptions(kind="dinov2", folder=tiny_dinov2)
     encoder = build_encoder(settings)
     assert encoder.describe(views).shape == (6, 16)
 
@@ -70,9 +70,8 @@ def test_tokens_agree_with_transformers(tiny_dinov2, views):
     prepared = (images - torch.tensor(mean).view(3, 1, 1)) / torch.tensor(std).view(3, 1, 1)
     with torch.no_grad():
         tokens = model(prepared).last_hidden_state
-    for pooling, expected in (("class", tokens[:, 0]), ("mean", tokens[:, 1:].mean(dim=1))):
-        found = Dinov2Encoder(tiny_dinov2, pooling, longest_side=80, device="cpu").describe(images)
-        torch.testing.assert_close(found, torch.nn.functional.normalize(expected, dim=1))
+    found = Dinov2Encoder(tiny_dinov2, longest_side=80, device="cpu").describe(images)
+    torch.testing.assert_close(found, torch.nn.functional.normalize(tokens[:, 0], dim=1))
 
 
 def test_error_for_a_missing_folder_names_the_setting():
@@ -97,7 +96,7 @@ def test_error_for_missing_transformers_names_the_command(tiny_dinov2, monkeypat
         build_encoder(FeatureOptions(kind="dinov2", folder=tiny_dinov2))
 
 
-def test_error_for_a_missing_class_token_suggests_mean_pooling(tmp_path, views):
+def test_without_a_class_token_the_patches_are_averaged(tmp_path, views):
     transformers = pytest.importorskip("transformers")
     from toolkit.semantics.features.dinov2 import Dinov2Encoder
 
@@ -111,7 +110,6 @@ def test_error_for_a_missing_class_token_suggests_mean_pooling(tmp_path, views):
         patch_size=8,
     )
     transformers.SiglipVisionModel(config).save_pretrained(tmp_path)
-    mean = Dinov2Encoder(tmp_path, "mean", longest_side=32, device="cpu")
-    assert mean.describe(views).shape == (6, 16)
-    with pytest.raises(FormatError, match="pooling mean"):
-        Dinov2Encoder(tmp_path, "class", longest_side=32, device="cpu").describe(views)
+    encoder = Dinov2Encoder(tmp_path, longest_side=32, device="cpu")
+    mean = encoder._model.tokens(views).patches.mean(dim=(1, 2))
+    torch.testing.assert_close(encoder.describe(views), torch.nn.functional.normalize(mean, dim=1))

@@ -78,8 +78,3 @@ def test_the_end_and_errors_come_after_the_last_frame():
     assert taken(buffer).captured is not None
     with pytest.raises(CameraError, match="unplugged"):
         buffer.take(1.0)
-
-
-def test_a_buffer_without_room_is_rejected():
-    with pytest.raises(ValueError, match="at least 1"):
-        FrameBuffer(0)

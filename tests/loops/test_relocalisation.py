@@ -12,7 +12,6 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.slam.loops import relocalisation
 from toolkit.slam.loops.candidates import SimilarKeyframe
-from toolkit.slam.loops.options import RelocalisationOptions
 from toolkit.slam.loops.relocalisation import Relocaliser
 from toolkit.slam.tracking.reach import Reach
 from toolkit.slam.tracking.result import Health
@@ -166,7 +165,7 @@ def test_a_place_that_looks_alike_may_be_on_the_other_side(near_each, monkeypatc
     ("changes", "found"),
     [
         ({}, True),
-        ({"visible_fraction": RelocalisationOptions().min_visible}, True),
+        ({"visible_fraction": relocalisation._MIN_VISIBLE}, True),
         ({"intensity_residual": relocalisation._MAX_INTENSITY_RESIDUAL}, True),
         ({"visible_fraction": 0.3}, False),
         ({"intensity_residual": 0.2}, False),

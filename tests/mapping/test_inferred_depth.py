@@ -13,7 +13,8 @@ from painted_box import box_frames
 from toolkit.base.frame import Frame
 from toolkit.base.keyframe import Keyframe
 from toolkit.base.native.constants import DEPTH_SUM, SILHOUETTE
-from toolkit.slam.mapping.options import DepthAdjustmentOptions, MapperOptions
+from toolkit.slam.mapping import optimisation
+from toolkit.slam.mapping.options import MapperOptions
 from toolkit.splatting.losses.options import RgbdLossWeights
 from toolkit.splatting.losses.photometric import by_observed_depth, rgbd_loss_torch, weigh_depth
 
@@ -108,15 +109,10 @@ def test_a_keyframe_keeps_what_was_inferred():
     assert np.array_equal(again.as_frame().inferred, mask)
 
 
-def adjusted(factor: float, **options) -> Keyframe:
+def adjusted(factor: float) -> Keyframe:
     """A second keyframe whose depth is wrong by a factor, after optimisation with the map."""
     frames = box(2)
-    adjustment = DepthAdjustmentOptions(**options)
-    mapper = MappedSubmap(
-        MapperOptions(
-            first_iterations=10, iterations=40, fuse_depth=False, depth_adjustment=adjustment
-        )
-    )
+    mapper = MappedSubmap(MapperOptions(first_iterations=10, iterations=40, fuse_depth=False))
     mapper.add_keyframe(Keyframe.from_frame(frames[0], np.eye(4)))
     wrong = replace(frames[1], index=1, depth_m=(factor * frames[1].depth_m).astype(np.float32))
     keyframe = Keyframe.from_frame(wrong, np.eye(4))
@@ -130,14 +126,19 @@ def median_ratio(keyframe: Keyframe) -> float:
 
 
 @pytest.mark.parametrize("factor", [0.98, 1.02])
-def test_scale_and_shift_of_a_prior_follow_the_map(factor):
-    keyframe = adjusted(factor, regularisation=0.0)
+def test_scale_and_shift_of_a_prior_follow_the_map(factor, monkeypatch):
+    monkeypatch.setattr(optimisation, "_REGULARISATION", 0.0)
+    keyframe = adjusted(factor)
     assert abs(median_ratio(keyframe) - 1.0) < 0.6 * abs(factor - 1.0)
     assert np.exp(keyframe.depth_moments[0]) > 0
 
 
-def test_regularisation_keeps_scale_and_shift():
-    free, held = (adjusted(1.02, regularisation=weight) for weight in (0.0, 100.0))
+def test_regularisation_keeps_scale_and_shift(monkeypatch):
+    found = []
+    for weight in (0.0, 100.0):
+        monkeypatch.setattr(optimisation, "_REGULARISATION", weight)
+        found.append(adjusted(1.02))
+    free, held = found
     assert np.abs(held.depth_moments[:2]).max() < 0.2 * np.abs(free.depth_moments[:2]).max()
 
 
@@ -148,5 +149,3 @@ def test_measured_depth_is_not_adjusted():
     mapper.add_keyframe(keyframe)
     assert keyframe.depth_moments is None
     assert np.array_equal(keyframe.depth_m.numpy(), frame.depth_m)
-    off = adjusted(1.02, use=False)
-    assert off.depth_moments is None

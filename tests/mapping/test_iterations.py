@@ -8,6 +8,7 @@ from mapped_submap import MappedSubmap
 
 from tests.painted_box import box_frames, path
 from toolkit.base.keyframe import Keyframe
+from toolkit.slam.mapping import mapper as mapper_module
 from toolkit.slam.mapping.effort import Effort
 from toolkit.slam.mapping.options import MapperOptions
 
@@ -40,8 +41,9 @@ def test_minimum_and_maximum_hold():
     assert steps_taken([1.0], minimum=1, maximum=12) == 1
 
 
-def test_a_keyframe_reports_its_steps():
-    options = MapperOptions(first_iterations=2, iterations=3, max_iterations=5)
+def test_a_keyframe_reports_its_steps(monkeypatch):
+    monkeypatch.setattr(mapper_module, "_MAX_ITERATIONS", 5)
+    options = MapperOptions(first_iterations=2, iterations=3)
     mapper = MappedSubmap(options, np.random.default_rng(0))
     poses = path(2)
     first, second = (

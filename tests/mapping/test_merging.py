@@ -12,7 +12,6 @@ from mapped_submap import MappedSubmap
 
 from toolkit.base.exposure import IDENTITY
 from toolkit.base.geometry.camera import Camera
-from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.base.keyframe import Keyframe
 from toolkit.slam.mapping.merging import PATCH_PX, to_ellipsoids
 from toolkit.slam.mapping.options import MapperOptions
@@ -58,7 +57,7 @@ def grey(count: int) -> torch.Tensor:
 
 def test_a_patch_of_a_wall_becomes_one_flat_ellipsoid() -> None:
     submap = submap_of(patch(), grey(200))
-    to_ellipsoids(submap, torch.zeros(200, dtype=torch.int64), degree=1)
+    to_ellipsoids(submap, torch.zeros(200, dtype=torch.int64))
     cloud = submap.gaussians
     assert len(cloud) == 1 and cloud.ellipsoids is not None
     scales = cloud.ellipsoids.log_scales.exp()[0].sort().values
@@ -68,7 +67,7 @@ def test_a_patch_of_a_wall_becomes_one_flat_ellipsoid() -> None:
     torch.testing.assert_close(cloud.colours, grey(1))
     torch.testing.assert_close(cloud.opacities, torch.tensor([0.5]))
     assert cloud.features.tolist() == [[1, 1]]
-    assert cloud.ellipsoids.harmonics.shape == (1, 3, 3)
+    assert cloud.ellipsoids.harmonics.shape == (1, 0, 3)
     assert submap.seeded_by.tolist() == [3]
     assert len(submap.optimiser.steps) == 1
 
@@ -82,7 +81,7 @@ def test_what_differs_stays_apart(kind: str) -> None:
     else:
         means[half, 0] += _SIDE_M
     submap = submap_of(means, colours)
-    to_ellipsoids(submap, torch.zeros(200, dtype=torch.int64), degree=0)
+    to_ellipsoids(submap, torch.zeros(200, dtype=torch.int64))
     assert len(submap.gaussians) == 2
 
 
@@ -92,7 +91,7 @@ def test_patches_across_a_border_of_classes_are_halved() -> None:
     classes = torch.full((400,), 4)
     classes[:200][means[:200, 0] < _SIDE_M / 2] = 0
     submap = submap_of(means, grey(400))
-    to_ellipsoids(submap, classes, degree=0)
+    to_ellipsoids(submap, classes)
     x_m = submap.gaussians.means[:, 0]
     assert int((x_m > _SIDE_M).sum()) == 1, "no border"
     assert int((x_m < _SIDE_M).sum()) == 4, "two for each class"
@@ -100,7 +99,7 @@ def test_patches_across_a_border_of_classes_are_halved() -> None:
 
 def test_a_single_sphere_stays_a_sphere() -> None:
     submap = submap_of(torch.tensor([[0.1, 0.2, 2.0]]), grey(1))
-    to_ellipsoids(submap, torch.zeros(1, dtype=torch.int64), degree=0)
+    to_ellipsoids(submap, torch.zeros(1, dtype=torch.int64))
     shapes = submap.gaussians.ellipsoids
     assert shapes is not None
     torch.testing.assert_close(shapes.log_scales.exp(), torch.full((1, 3), 0.004))
@@ -108,14 +107,14 @@ def test_a_single_sphere_stays_a_sphere() -> None:
 
 def test_an_empty_submap_stays_empty() -> None:
     submap = submap_of(torch.zeros(0, 3), grey(0))
-    to_ellipsoids(submap, torch.zeros(0, dtype=torch.int64), degree=0)
+    to_ellipsoids(submap, torch.zeros(0, dtype=torch.int64))
     assert len(submap.gaussians) == 0
 
 
 def test_patches_of_small_images_are_smaller() -> None:
     submap = submap_of(patch(), grey(200))
     submap.keyframes[0].camera = Camera(_FOCAL, _FOCAL, 79.5, 59.5, 160, 120)
-    to_ellipsoids(submap, torch.zeros(200, dtype=torch.int64), degree=0)
+    to_ellipsoids(submap, torch.zeros(200, dtype=torch.int64))
     assert len(submap.gaussians) == 4
 
 
@@ -148,17 +147,6 @@ def test_a_stored_submap_of_ellipsoids_is_restored(room) -> None:
     assert restored.gaussians.low_pass == submap.gaussians.low_pass
     for name, tensor in submap.gaussians.tensors().items():
         assert torch.equal(restored.gaussians.tensors()[name], tensor), name
-
-
-@pytest.mark.parametrize("degree", [0, 2])
-def test_harmonics_of_the_asked_degree_are_optimised(room, degree: int) -> None:
-    options = MapperOptions(final_harmonics=degree)
-    mapper = fed(MappedSubmap(options), room, range(0, 6, 3))
-    mapper.refine()
-    shapes = mapper.submap.gaussians.ellipsoids
-    assert shapes is not None
-    assert shapes.harmonics.shape[1] == HARMONIC_COUNTS[degree]
-    assert degree == 0 or float(shapes.harmonics.abs().max()) > 1e-3
 
 
 def test_spheres_can_be_added_to_ellipsoids(room) -> None:

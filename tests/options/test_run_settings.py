@@ -34,8 +34,8 @@ def test_absent_keys_keep_their_defaults(tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text("")
     assert load_settings(file) == RunSettings()
-    file.write_text("tracking: {dense: {levels: 3}}\n")
-    assert load_settings(file).tracking.dense.levels == 3
+    file.write_text("tracking: {dense: {max_width: 320}}\n")
+    assert load_settings(file).tracking.dense.max_width == 320
     assert load_settings(file).tracking.first_order == RunSettings().tracking.first_order
 
 

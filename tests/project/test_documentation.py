@@ -219,9 +219,9 @@ def test_the_reference_lists_every_option_with_a_description():
     rows = [line for line in options_page().splitlines() if line.startswith("| `--")]
     listed = {row.split("`")[1] for row in rows}
     assert {o for o in known_options() if not o.startswith("--no-")} >= listed
-    assert {"--tracking.dense.levels", "--dataset.path", "--min-confidence"} <= listed
-    levels = next(row for row in rows if "`--tracking.dense.levels`" in row)
-    assert "| `INT` [1, 7] | `4` | Number of image pyramid levels." in levels
+    assert {"--tracking.dense.max-width", "--dataset.path", "--min-confidence"} <= listed
+    width = next(row for row in rows if "`--tracking.dense.max-width`" in row)
+    assert "| `INT` >= 16 | `480` | Maximum image width for tracking" in width
     confidence = next(row for row in rows if "`--min-confidence`" in row)
     assert "| `FLOAT` [0, 1] | `0.0` | " in confidence
 

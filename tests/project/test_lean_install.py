@@ -19,7 +19,6 @@ from toolkit.slam.mapping.mapper import Mapper
 from toolkit.slam.mapping.options import MapperOptions
 from toolkit.splatting.rendering import render
 from toolkit.slam.tracking.dense import DenseTracker
-from toolkit.slam.tracking.options import DenseOptions
 
 camera = Camera(40.0, 40.0, 23.5, 17.5, 48, 36)
 v, u = np.mgrid[-8.0:44.0:0.5, -8.0:56.0:0.5].reshape(2, -1)
@@ -32,7 +31,7 @@ room = GaussianCloud.from_values(
     torch.full((len(z),), 0.9),
     torch.from_numpy(np.stack([tone] * 3, axis=1)).float(),
 )
-tracker = DenseTracker(DenseOptions(levels=2))
+tracker = DenseTracker(levels=2)
 mapper = Mapper(MapperOptions(first_iterations=3, iterations=2))
 submap = mapper.first_submap()
 for index in range(3):

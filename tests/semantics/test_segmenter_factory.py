@@ -79,7 +79,7 @@ def test_what_is_missing_is_named(values, error, named):
     "values",
     [
         {"kind": "magic"},
-        {"model": {"min_confidence": 1.5}},
+        {"images": {"gaps": 1.5}},
         {"geometric": {"columns": 160}},
     ],
 )

@@ -20,6 +20,7 @@ from toolkit.semantics.trees import shipped_taxonomy
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.mapping.mapper import Mapper
 from toolkit.slam.mapping.options import MapperOptions
+from toolkit.slam.submaps import allocation
 from toolkit.slam.submaps.allocation import Allocation, path_length_m, view_overlap
 from toolkit.slam.submaps.atlas import Atlas
 from toolkit.slam.submaps.factory import allocation_options
@@ -150,14 +151,15 @@ class TestAllocation:
         verdict = self.judge(keyframes[:2], gaussians=gaussians, **options)
         assert verdict.starts_submap and word in verdict.reason
 
-    def test_limits_are_reached_where_they_are_met(self, keyframes):
+    def test_limits_are_reached_where_they_are_met(self, keyframes, monkeypatch):
         pair = keyframes[:2]
         length_m = path_length_m(pair)
         assert "path" in self.judge(pair, max_path_m=length_m).reason
         view = [keyframes[0], turned(keyframes[0], 40)]
-        overlap = self.judge(view, min_overlap=1.0).overlap
+        overlap = self.judge(view).overlap
         assert 0.2 < overlap < 1.0
-        assert not self.judge(view, min_overlap=overlap).starts_submap
+        monkeypatch.setattr(allocation, "_MIN_OVERLAP", overlap)
+        assert not self.judge(view).starts_submap
 
     def test_recent_keyframes_do_not_count_as_the_volume(self, keyframes):
         """The last one always shows what the newest one shows; only the anchor always counts."""

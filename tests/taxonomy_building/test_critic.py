@@ -236,13 +236,6 @@ def test_clusters_without_a_name_of_their_own_are_asked_again():
     assert grouper.questions[2].clusters == (CLUSTERS[0],)
 
 
-def test_questions_that_contradict_themselves_are_faults_of_the_caller():
-    with pytest.raises(ValueError, match="differ"):
-        settle(Question(("a", "a"), "size"), Halves(), Halves())
-    with pytest.raises(ValueError, match="clusters"):
-        settle(Question(("a", "b"), "geometry", clusters=(("a",),)), Halves(), Halves())
-
-
 names = st.text(st.sampled_from("abB s-_>é椅\x00\u202e1"), min_size=1, max_size=6)
 items = st.lists(names.filter(str.strip), min_size=1, max_size=12, unique_by=str.casefold)
 

@@ -86,7 +86,7 @@ class Option:
     """One option of a dataclass of options or of a dataclass nested in it."""
 
     key: str
-    """Dotted path of field names, for instance "tracking.dense.levels"."""
+    """Dotted path of field names, for instance "tracking.dense.max_width"."""
     type: Any
     """Type annotation, with its `Range`."""
     description: str

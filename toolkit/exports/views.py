@@ -155,11 +155,7 @@ def _rendered(selection: SelectedGaussians, frame: TrackedFrame) -> RgbImage:
 
 
 def _reference(dataset: RecordedDataset, camera: Camera, index: int, root: Path | None) -> str:
-    """Return the path of an image file of the dataset: relative to `root`, or absolute.
-
-    Raises:
-        SettingsError: the file is not the image that the run used.
-    """
+    """Return the path of an image file of the dataset: relative to `root`, or absolute."""
     recording, files = dataset.recording, dataset.files(index)
     changed = (
         recording.distortion is not None

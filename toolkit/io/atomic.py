@@ -106,9 +106,6 @@ def _check_room(path: Path, more: int = 0) -> None:
     Args:
         path: the file.
         more: number of bytes beside those that every file must be able to grow by.
-
-    Raises:
-        OSError: it cannot: the disk is full, or a quota or limit is reached.
     """
     with path.open("r+b", buffering=0) as file:
         size = file.seek(0, os.SEEK_END)

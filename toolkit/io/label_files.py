@@ -126,12 +126,7 @@ def read_label_file(splat_file: Path, count: int) -> LabelFile | None:
 
 
 def _columns(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """The columns in a file; none if it contains only a class tree.
-
-    Raises:
-        KeyError: there is no class tree either, or a part of the labels is missing.
-        ValueError: shapes do not match.
-    """
+    """The columns in a file; none if it contains only a class tree."""
     if "taxonomy" in arrays and not any(name in arrays for name in (*_LABELS, "instances")):
         return {}
     instances = arrays["instances"].astype(np.int32) if "instances" in arrays else None

@@ -85,11 +85,7 @@ def read_elements(path: Path) -> dict[str, NDArray]:
 
 
 def _rows(data: memoryview | list[bytes], dtype: np.dtype, count: int) -> NDArray:
-    """Rows [N] from bytes, or from the words of a text.
-
-    Raises:
-        ValueError: an element has no properties, or a word is no number.
-    """
+    """Rows [N] from bytes, or from the words of a text."""
     if isinstance(data, memoryview):
         return np.frombuffer(data, dtype, count)
     rows, names = np.empty(count, dtype), dtype.names or ()
@@ -99,11 +95,7 @@ def _rows(data: memoryview | list[bytes], dtype: np.dtype, count: int) -> NDArra
 
 
 def _header(lines: list[str]) -> tuple[str | None, list[_Layout]]:
-    """The byte order, which is None for text, and the elements of a header.
-
-    Raises:
-        ValueError: a line is not as it must be.
-    """
+    """The byte order, which is None for text, and the elements of a header."""
     form, layouts = "", list[_Layout]()
     for line in lines:
         match line.split():

@@ -165,11 +165,7 @@ def _system(place: str) -> tuple[Any, str]:
 
 
 def _send(place: str, write: Callable[[Any, str], object]) -> None:
-    """Call `write` with the file system of a URL and the path in it.
-
-    Raises:
-        RunFolderError: it fails.
-    """
+    """Call `write` with the file system of a URL and the path in it."""
     system, path = _system(place)
     try:
         write(system, path)

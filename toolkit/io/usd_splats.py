@@ -305,11 +305,7 @@ def _matrix(pxr: Any, T: NDArray[np.float64]) -> Any:
 
 
 def _pxr(path: Path) -> Any:
-    """OpenUSD, with the modules used here.
-
-    Raises:
-        DependencyError: it is missing, or has no splats.
-    """
+    """OpenUSD, with the modules used here."""
     remedy = f"{path}: {path.suffix} needs usd-core 26.3 or newer: pip install 'semsplat[usd]'"
     try:
         import pxr

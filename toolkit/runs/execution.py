@@ -233,9 +233,6 @@ def _restore(
 
     Returns:
         The frame at which to continue, None without a checkpoint.
-
-    Raises:
-        RunFolderError: the checkpoint is damaged or belongs to another sequence.
     """
     checkpoint = folder.checkpoints.load()
     if checkpoint is None:

@@ -36,7 +36,7 @@ from toolkit.semantics.codes import SemanticCode
 from toolkit.slam.front_end import FrontEnd
 from toolkit.slam.length_unit import METRE, LengthUnit
 from toolkit.slam.loops.closing.factory import ClosingContext, build_loop_closer
-from toolkit.slam.loops.closing.interface import GivenParts, LoopClosing, NoLoopClosing
+from toolkit.slam.loops.closing.interface import GivenParts, LoopClosing
 from toolkit.slam.loops.log import LoopLog
 from toolkit.slam.tracking.factory import build_tracker
 from toolkit.slam.tracking.given import GivenPoses
@@ -194,7 +194,7 @@ class DepthCamera(RunMode):
         # A map that is extended may be loaded before the first frame.
         fixed = parts.dataset is None and settings.map is not None
         unit = METRE if fixed else LengthUnit.of(parts.dataset)
-        closer: LoopClosing = NoLoopClosing()
+        closer: LoopClosing = LoopClosing()
         if settings.loops.use:
             log = None
             if parts.folder is not None:

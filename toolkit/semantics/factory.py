@@ -22,6 +22,8 @@ from toolkit.semantics.segmenters.image_folder import LabelImageFolder
 from toolkit.semantics.segmenters.segmenter import Segmenter, Unlabelled
 from toolkit.semantics.taxonomy import Taxonomy
 
+# Minimum probability of a class that a model predicts; pixels below it are unlabelled.
+_MIN_CONFIDENCE = 0.5
 _HEADED = {"flat": flat_code, "one-hot": one_hot_code, "binary": binary_code}
 
 
@@ -109,7 +111,7 @@ def _model(options: ModelOptions) -> Segmenter:
     from toolkit.semantics.segmenters.transformers_models import TransformersSegmenter
 
     if options.head is None:
-        return TransformersSegmenter(options.folder, options.min_confidence, options.device)
+        return TransformersSegmenter(options.folder, _MIN_CONFIDENCE)
     head = LinearHead.load(options.head)
-    encoder = PatchEncoder(options.folder, head.longest_side, options.device)
-    return HeadSegmenter(encoder, head, options.min_confidence)
+    encoder = PatchEncoder(options.folder, head.longest_side)
+    return HeadSegmenter(encoder, head, _MIN_CONFIDENCE)

@@ -47,35 +47,22 @@ def class_counts(class_ids: NDArray[np.integer], classes: int) -> NDArray[np.int
     return np.bincount(flat, minlength=classes + 1).astype(np.int64)
 
 
-def smoothed_kl(current: Array, anchor: Array, smoothing: float = SMOOTHING) -> float:
+def smoothed_kl(current: Array, anchor: Array) -> float:
     """Return the Kullback-Leibler divergence KL(current || anchor) of two histograms [C], in nats.
 
-    `smoothing` is added to every class before normalisation. The divergence is therefore finite
-    if a class appears in one histogram only, at most log(1 + 1 / smoothing). It is 0 for equal
+    `SMOOTHING` is added to every class before normalisation. The divergence is therefore finite
+    if a class appears in one histogram only, at most log(1 + 1 / SMOOTHING). It is 0 for equal
     histograms and not symmetric. A histogram of zeros (all void) becomes uniform.
 
     Args:
         current, anchor: non-negative histograms, as returned by `class_histogram`.
-        smoothing: fraction added to every class, > 0.
-
-    Raises:
-        ValueError: lengths differ, there are no classes, or a value is negative or not finite.
     """
-    if smoothing <= 0:
-        raise ValueError(f"smoothing must be positive, got {smoothing}")
-    p, q = (_smoothed(np.asarray(h, np.float64), smoothing) for h in (current, anchor))
-    if p.shape != q.shape:
-        raise ValueError(f"histograms must have the same length, got {len(p)} and {len(q)}")
+    p, q = (_smoothed(h) for h in (current, anchor))
     # Rounding can give a small negative value for equal histograms.
     return max(0.0, float(np.sum(p * np.log(p / q))))
 
 
-def _smoothed(histogram: Array, smoothing: float) -> Array:
-    if histogram.ndim != 1 or not len(histogram):
-        raise ValueError(f"a histogram must have shape [C], C > 0, got {list(histogram.shape)}")
-    if not np.isfinite(histogram).all() or histogram.min() < 0:
-        raise ValueError("a histogram must be finite and not negative")
+def _smoothed(histogram: Array) -> Array:
     total = histogram.sum()
-    fractions = histogram / total if total > 0 else histogram
-    smoothed = fractions + smoothing
+    smoothed = (histogram / total if total > 0 else histogram) + SMOOTHING
     return np.asarray(smoothed / smoothed.sum())

@@ -55,10 +55,6 @@ class ModelOptions:
     segmenter."""
     head: Path | None = None
     """Head trained by `semsplat train-head`. The model is then used as an encoder."""
-    min_confidence: Fraction = 0.5
-    """Minimum probability of a class. Pixels below it are unlabelled."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device that runs the model."""
 
 
 @dataclass(frozen=True)
@@ -102,13 +98,10 @@ class SemanticLossWeights:
 
     weight: NonNegativeFloat = 0.2
     """Weight of the semantic loss relative to the colour and depth losses (Hier-SLAM++: 0.2,
-    GauSem-SLAM: 0.5)."""
+    GauSem-SLAM: 0.5). Its part within the levels of the tree has weight 1, and that across levels,
+    computed by the network, 5 (Hier-SLAM++: omega 1 and 2)."""
     every: PositiveInt = 3
     """Number of mapping iterations per iteration that includes the semantic loss."""
-    intra: NonNegativeFloat = 1.0
-    """Weight of the loss within the levels of the tree (Hier-SLAM++: omega 1)."""
-    inter: NonNegativeFloat = 5.0
-    """Weight of the loss across levels, computed by the network (Hier-SLAM++: omega 2)."""
     inter_from: NonNegativeInt = 15
     """First iteration of a mapping call with the loss across levels (Hier-SLAM++: eta), at the
     latest after a quarter of the call."""

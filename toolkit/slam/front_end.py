@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from toolkit.depth.depth_priors.correction import DepthCorrection
 from toolkit.slam.length_unit import METRE, LengthUnit
-from toolkit.slam.loops.closing.interface import LoopClosing, NoLoopClosing
+from toolkit.slam.loops.closing.interface import LoopClosing
 from toolkit.slam.tracking.placement import KeyframePlacement
 from toolkit.slam.tracking.tracker import Tracker
 
@@ -39,7 +39,7 @@ class FrontEnd:
     """
 
     tracker: Tracker
-    closer: LoopClosing = field(default_factory=NoLoopClosing)
+    closer: LoopClosing = field(default_factory=LoopClosing)
     placement: KeyframePlacement | None = None
     correction: DepthCorrection | None = None
     tracks_priors: bool = False

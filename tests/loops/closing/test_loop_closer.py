@@ -20,10 +20,11 @@ from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.semantics.features.builtin import BuiltinEncoder
 from toolkit.semantics.features.sources import ViewDescriber
 from toolkit.slam.loops.candidates import CandidateFinder
+from toolkit.slam.loops.closing import pair_matching, submap_loops
 from toolkit.slam.loops.closing.closer import LoopCloser
 from toolkit.slam.loops.closing.image_edges import ImageEdges, ImageLoops
 from toolkit.slam.loops.closing.object_loops import ObjectHypotheses, ObjectHypothesis
-from toolkit.slam.loops.closing.options import ClosingOptions, PairOptions
+from toolkit.slam.loops.closing.options import ClosingOptions
 from toolkit.slam.loops.closing.pair_matching import PairMatcher, RoughMotion, VerifiedPair
 from toolkit.slam.loops.closing.parts import ClosingParts
 from toolkit.slam.loops.closing.submap_loops import SubmapLoops
@@ -51,7 +52,6 @@ EAGER = CandidateOptions(
     min_gap_m=0.0,
     threshold="fixed",
     distance=0.5,
-    max_landmark_distance=2.0,
 )
 
 
@@ -65,8 +65,10 @@ def frames():
     return [(f, start @ T) for f, T in zip([*seen, *again], poses, strict=True)]
 
 
-# No image pair is verified.
-NO_IMAGES = PairOptions(max_sigma_m=1e-12)
+@pytest.fixture
+def no_images(monkeypatch):
+    """No image pair is verified."""
+    monkeypatch.setattr(pair_matching, "_MAX_SIGMA_M", 1e-12)
 
 
 class TrueRegistrar:
@@ -107,7 +109,6 @@ def closed(
     options=None,
     nearby_changes=None,
     max_keyframes=3,
-    pairs=None,
 ):
     """An atlas of three submaps, the last of which drifted, and its closer.
 
@@ -127,7 +128,7 @@ def closed(
     parts = ClosingParts(
         registrar=registrar,
         nearby=registrar if nearby_changes is None else TrueRegistrar(truth, **nearby_changes),
-        matcher=PairMatcher(pairs or PairOptions()),
+        matcher=PairMatcher(),
         relocaliser=Relocaliser(detector),
         verification=VerificationLimits(),
         pose_graph=PoseGraphOptions(),
@@ -187,17 +188,17 @@ class TestBetween:
         "changes",
         [{"fails": True}, {"overlap": 0.1}, {"inliers": 0.3}, {"class_agreement": 0.2}],
     )
-    def test_what_is_not_verified_leaves_no_trace(self, frames, changes):
-        atlas, closer, registrar = closed(frames, changes, pairs=NO_IMAGES)
+    def test_what_is_not_verified_leaves_no_trace(self, frames, no_images, changes):
+        atlas, closer, registrar = closed(frames, changes)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
         assert registrar.asked and bits(atlas) == before and not closer.loops
 
-    def test_a_loop_against_the_odometry_is_refused(self, frames, tmp_path):
+    def test_a_loop_against_the_odometry_is_refused(self, frames, tmp_path, monkeypatch, no_images):
         log = LoopLog(tmp_path / "loops.jsonl")
         # As between identical rooms, where the views do agree.
-        options = ClosingOptions(min_shared=0.0)
-        atlas, closer, registrar = closed(frames, {"wrong": True}, log, options, pairs=NO_IMAGES)
+        monkeypatch.setattr(submap_loops, "_MIN_SHARED", 0.0)
+        atlas, closer, registrar = closed(frames, {"wrong": True}, log)
         before = bits(atlas)
         assert not closer.close_between(atlas, atlas.active)
         assert bits(atlas) == before and not closer.loops
@@ -228,10 +229,12 @@ class TestBetween:
         taken = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "images"]
         assert any(r["accepted"] for r in taken)
 
-    def test_images_contradict_a_registration_that_the_odometry_allows(self, frames, tmp_path):
+    def test_images_contradict_a_registration_that_the_odometry_allows(
+        self, frames, tmp_path, monkeypatch
+    ):
+        monkeypatch.setattr(submap_loops, "_MAX_IMAGE_DIFFERENCE_M", 1e-6)
         log = LoopLog(tmp_path / "loops.jsonl")
-        options = ClosingOptions(max_image_difference_m=1e-6)
-        atlas, closer, _ = closed(frames, log=log, options=options)
+        atlas, closer, _ = closed(frames, log=log)
         closer.close_between(atlas, atlas.active)
         refused = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "between"]
         assert any("the images differ" in r["reason"] and not r["accepted"] for r in refused)
@@ -241,10 +244,12 @@ class TestBetween:
         closer.close_between(atlas, atlas.active)
         assert len(registrar.asked) == len(set(registrar.asked))
 
-    def test_submaps_that_fit_prove_no_other_suspicion(self, frames, tmp_path):
+    def test_submaps_that_fit_prove_no_other_suspicion(
+        self, frames, tmp_path, monkeypatch, no_images
+    ):
+        monkeypatch.setattr(submap_loops, "_MIN_SHARED", 1.01)
         log = LoopLog(tmp_path / "loops.jsonl")
-        options = ClosingOptions(min_shared=1.01)
-        atlas, closer, _ = closed(frames, log=log, options=options, pairs=NO_IMAGES)
+        atlas, closer, _ = closed(frames, log=log)
         assert not closer.close_between(atlas, atlas.active) and not closer.loops
         refused = [r for r in read_loop_log(tmp_path / "loops.jsonl") if r["kind"] == "verified"]
         assert refused and not any(r["accepted"] for r in refused)
@@ -252,9 +257,9 @@ class TestBetween:
     def test_without_tests_a_registration_is_the_edge(self, frames, tmp_path, monkeypatch):
         """The images of no pair match, none is shared, and the odometry contradicts the result."""
         monkeypatch.setattr(PairMatcher, "most_matches", lambda *_: [])
+        monkeypatch.setattr(submap_loops, "_MIN_SHARED", 1.01)
         log = LoopLog(tmp_path / "loops.jsonl")
-        options = ClosingOptions(min_shared=1.01)
-        atlas, closer, _ = closed(frames, {"wrong": True}, log, options)
+        atlas, closer, _ = closed(frames, {"wrong": True}, log)
         untested = PoseGraphOptions(confidence=1.0, kernel="none")
         closer._parts = replace(
             closer._parts,
@@ -263,7 +268,7 @@ class TestBetween:
             optimiser=PoseGraphOptimiser(untested),
         )
         closer._graph._parts = closer._parts
-        closer._between = SubmapLoops(closer._parts, options, closer._record)
+        closer._between = SubmapLoops(closer._parts, closer.options, closer._record)
         assert closer.close_between(atlas, atlas.active) and closer.loops
         records = read_loop_log(tmp_path / "loops.jsonl")
         assert not {r["kind"] for r in records} & {"images", "consistency", "retracted"}
@@ -316,7 +321,8 @@ class KnownObjects:
 def closed_by_objects(frames, monkeypatch, errors, log=None, **changes):
     """As `closed`, with images that do not match, and poses from objects with errors [K, 6]."""
     monkeypatch.setattr(PairMatcher, "most_matches", lambda *_: [])
-    atlas, closer, registrar = closed(frames, changes, log, ClosingOptions(min_shared=0.0))
+    monkeypatch.setattr(submap_loops, "_MIN_SHARED", 0.0)
+    atlas, closer, registrar = closed(frames, changes, log)
     objects = KnownObjects(registrar.truth, [se3.exp(np.array(error)) for error in errors])
     closer._between = SubmapLoops(
         replace(closer._parts, objects=objects), closer.options, closer._record
@@ -479,8 +485,8 @@ class TestSettle:
         neighbours = {(n, n + 1) for n in range(len(atlas) - 1)} if joins else set()
         assert {(loop.first, loop.second) for loop in closer.loops} == {around} | neighbours
 
-    def test_without_a_loop_nothing_is_touched(self, frames):
-        atlas, closer, registrar = closed(frames, {"fails": True}, pairs=NO_IMAGES)
+    def test_without_a_loop_nothing_is_touched(self, frames, no_images):
+        atlas, closer, registrar = closed(frames, {"fails": True})
         closer.close_between(atlas, atlas.active)
         before = bits(atlas)
         registrar.asked.clear()

@@ -14,7 +14,6 @@ from toolkit.base.keyframe import Keyframe
 from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.slam.loops.closing import pair_matching
 from toolkit.slam.loops.closing.log_entries import pair_values
-from toolkit.slam.loops.closing.options import PairOptions
 from toolkit.slam.loops.closing.pair_matching import PairMatcher, VerifiedPair
 from toolkit.slam.tracking.rolling_shutter import as_exposed
 
@@ -40,8 +39,8 @@ def verified_without_comparison(first: Keyframe, second: Keyframe) -> VerifiedPa
         return verified(first, second)
 
 
-def verified(first: Keyframe, second: Keyframe, options: PairOptions | None = None) -> VerifiedPair:
-    matcher = PairMatcher(options or PairOptions())
+def verified(first: Keyframe, second: Keyframe) -> VerifiedPair:
+    matcher = PairMatcher()
     rough = matcher.rough(first, second)
     assert rough is not None
     return matcher.verified(first, second, rough)
@@ -73,9 +72,10 @@ def test_depth_of_another_time_pulls_both_directions_to_a_wrong_pose(walk, match
     assert "correlate" in pair.reason
 
 
-def test_without_tests_the_forward_alignment_is_the_result(walk):
+def test_without_tests_the_forward_alignment_is_the_result(walk, monkeypatch):
+    monkeypatch.setattr(pair_matching, "_MAX_DISAGREEMENT_M", 1e-9)
     first, second = keyframe(walk, 0, 0), keyframe(walk, 4, 5)
-    matcher = PairMatcher(PairOptions(max_disagreement_m=1e-9), tests=False)
+    matcher = PairMatcher(tests=False)
     pair = matcher.verified(first, second, matcher.rough(first, second))
     assert not pair.reason and pair.evidence is None
     assert verified(first, second).reason
@@ -112,7 +112,7 @@ def test_bent_images_of_opposite_turns_are_rejected(walk, match, monkeypatch):
     assert not alike.reason and error_deg(walk, alike, match, match + 6) < 0.5
 
 
-def test_what_is_rejected_before_needs_no_evidence(walk):
-    strict = PairOptions(max_disagreement_m=1e-9)
-    pair = verified(keyframe(walk, 0, 0), keyframe(walk, 4, 4), strict)
+def test_what_is_rejected_before_needs_no_evidence(walk, monkeypatch):
+    monkeypatch.setattr(pair_matching, "_MAX_DISAGREEMENT_M", 1e-9)
+    pair = verified(keyframe(walk, 0, 0), keyframe(walk, 4, 4))
     assert pair.reason and pair.evidence is None and "correlation" not in pair_values(pair)

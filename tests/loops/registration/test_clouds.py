@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved
 
+from benchmarks import cloud_registration
+from benchmarks.cloud_registration import CloudRegistration, scaled_information
 from toolkit.base.geometry import se3
-from toolkit.slam.loops.registration import clouds
-from toolkit.slam.loops.registration.clouds import CloudRegistration, scaled_information
 
 
 @pytest.mark.parametrize("search", ["ransac", "fast"])
 def test_clouds_find_each_other_from_nothing(room: Scene, search, monkeypatch):
     T_new_source = motion(2, 1.0, 70.0)
     far = moved(room.source, T_new_source)
-    monkeypatch.setattr(clouds, "_VOXEL_M", 0.08)
+    monkeypatch.setattr(cloud_registration, "_VOXEL_M", 0.08)
     registrar = CloudRegistration(search)
     result = registrar.register(room.target, far)
     mm, deg = error(result.T_target_source, room.T_target_source @ se3.inverse(T_new_source))

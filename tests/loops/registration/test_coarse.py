@@ -40,8 +40,9 @@ def test_pairs_are_one_to_one_in_rounds_and_nearest_first(room: Scene, rows, col
     assert np.isclose(distances[0], every.min(), atol=1e-4)
 
 
-def test_enough_pairs_that_agree_spare_the_others(room: Scene, generator):
-    few = register_coarse(room.target, room.source, RegistrationOptions(enough=2), generator)
+def test_enough_pairs_that_agree_spare_the_others(room: Scene, generator, monkeypatch):
+    monkeypatch.setattr(coarse, "_ENOUGH", 2)
+    few = register_coarse(room.target, room.source, RegistrationOptions(), generator)
     assert len(few.views) == 2
     assert few.result.inliers == 1.0
     assert error(few.result.T_target_source, room.T_target_source)[0] < 1.0
@@ -86,7 +87,7 @@ def test_without_descriptors_it_says_so(room: Scene, generator):
 
 def test_a_single_pair_is_not_sufficient(room: Scene, generator, monkeypatch):
     monkeypatch.setattr(coarse, "_POOLED_PAIRS", 1)
-    one = RegistrationOptions(pairs=1)
+    one = RegistrationOptions(views=1)
     found = register_coarse(room.target, room.source, one, generator)
     assert not found.result.converged
     assert "1 of 1" in found.result.reason
@@ -94,7 +95,7 @@ def test_a_single_pair_is_not_sufficient(room: Scene, generator, monkeypatch):
 
 
 def test_more_pairs_help_where_the_most_similar_one_does_not_suffice(room: Scene, generator):
-    options = RegistrationOptions(pairs=1)
+    options = RegistrationOptions(views=1)
     found = register_coarse(room.target, room.source, options, generator)
     assert found.result.converged
     assert error(found.result.T_target_source, room.T_target_source)[0] < 20.0

@@ -11,21 +11,17 @@ from toolkit.semantics.features.builtin import BuiltinEncoder
 from toolkit.semantics.features.factory import build_differentiable_describer
 from toolkit.semantics.features.options import FeatureOptions
 from toolkit.slam.loops.registration import first_order_fine
-from toolkit.slam.loops.registration.clouds import CloudRegistration
 from toolkit.slam.loops.registration.factory import build_registrar, needs_describer
 from toolkit.slam.loops.registration.fine import FineRegistration
 from toolkit.slam.loops.registration.options import RegistrationOptions
 from toolkit.slam.loops.registration.result import RegistrationResult
 from toolkit.slam.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration
-from toolkit.slam.loops.registration.two_way import TwoWayRegistration
 from toolkit.slam.loops.registration.views import ViewRenderer
 
 KINDS = {
     "sgr": SemanticGuidedRegistration,
     "coarse": CoarseOnly,
     "fine": FineRegistration,
-    "two-way": SemanticGuidedRegistration,
-    "clouds": CloudRegistration,
 }
 
 
@@ -35,15 +31,7 @@ def test_every_kind_can_be_built(kind):
     assert isinstance(build_registrar(settings, 3, ViewRenderer()), KINDS[kind])
 
 
-def test_two_way_takes_the_place_of_the_fine_stage():
-    settings = RegistrationOptions(kind="two-way")
-    registrar = build_registrar(settings, 3, ViewRenderer())
-    assert isinstance(registrar, SemanticGuidedRegistration)
-    assert isinstance(registrar.refiner, TwoWayRegistration)
-    assert registrar.refiner.renderer is registrar.renderer
-
-
-@pytest.mark.parametrize("kind", ["sgr", "fine", "two-way"])
+@pytest.mark.parametrize("kind", ["sgr", "fine"])
 def test_the_feature_term_describes_views_with_the_given_encoder(kind, room, monkeypatch):
     """G-6 has a feature term; without an encoder it would be left out in silence."""
     described = []

@@ -1,4 +1,4 @@
-"""Both stages together, and the two-way scheme beside them."""
+"""Both stages together, and the coarse stage alone."""
 
 from __future__ import annotations
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from registered_room import Scene, error, motion
 
+from benchmarks.two_way_registration import TwoWayRegistration
 from toolkit.slam.loops.registration.fine import FineRegistration
 from toolkit.slam.loops.registration.options import RegistrationOptions
 from toolkit.slam.loops.registration.sgr import SemanticGuidedRegistration
-from toolkit.slam.loops.registration.two_way import TwoWayRegistration
 
 
 def test_two_ways_lead_to_the_same_place(room: Scene, renderer):

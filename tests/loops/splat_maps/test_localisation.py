@@ -8,7 +8,6 @@ import pytest
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
 from toolkit.datasets.synthetic_rooms import tiny_room
-from toolkit.slam.loops.options import RelocalisationOptions
 from toolkit.slam.loops.splat_maps.localisation import LocatedFrame, SplatMapLocaliser
 from toolkit.slam.loops.splat_maps.views import virtual_keyframe
 from toolkit.slam.mapping.mapper import Mapper
@@ -44,7 +43,7 @@ def localiser(room, cloud) -> SplatMapLocaliser:
 
     turned = se3.exp(np.array([0.05, 0.0, -0.05, 0.0, 0.02, 0.4]))
     views = [view for view in (render(turned),) if view is not None]
-    return SplatMapLocaliser(cloud, views, render, DenseTracker(), RelocalisationOptions())
+    return SplatMapLocaliser(cloud, views, render, DenseTracker())
 
 
 def test_pose_and_scale_are_found(room, localiser):

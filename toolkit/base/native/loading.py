@@ -42,12 +42,7 @@ def built_instruction_sets() -> list[str]:
 
 @functools.cache
 def _load(name: str) -> ModuleType:
-    """Load a variant without a CPU check.
-
-    Raises:
-        ImportError: the variant is not built or cannot be loaded.
-        DependencyError: it was compiled with other constants.
-    """
+    """Load a variant without a CPU check."""
     path = _path(name)
     if not path.is_file():
         raise ImportError(f"{path} does not exist")

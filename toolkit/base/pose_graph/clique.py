@@ -16,12 +16,7 @@ def largest_clique(agree: NDArray[np.bool_], exact_up_to: int = 40) -> list[int]
         agree: [L, L] symmetric bool; the diagonal is ignored.
         exact_up_to: maximum L for the exact search, which is exponential in the worst case;
             larger sets are searched greedily.
-
-    Raises:
-        ValueError: the matrix is not square and symmetric.
     """
-    if agree.ndim != 2 or agree.shape[0] != agree.shape[1] or (agree != agree.T).any():
-        raise ValueError(f"agree must be a symmetric matrix, got shape {list(agree.shape)}")
     neighbours = [set(np.flatnonzero(row).tolist()) - {k} for k, row in enumerate(agree)]
     if len(neighbours) > exact_up_to:
         return _greedy(neighbours)

@@ -187,11 +187,7 @@ def _load_mapping(path: Path) -> dict:
 
 
 def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Return files by stem, in the order of the frames.
-
-    Raises:
-        DatasetError: two files have the same stem.
-    """
+    """Return files by stem, in the order of the frames."""
     files = visible(folder) if folder.is_dir() else ()
     found = by_key((file.stem, file) for file in files if file.suffix.lower() in suffixes)
     return {stem: found[stem] for stem in in_order(found)}
@@ -212,11 +208,7 @@ def _poses(
 
 
 def _timestamps_s(path: Path, stems: list[str], fps: float) -> list[float]:
-    """Return the times of the frames: lines of stem and seconds, else equal intervals.
-
-    Raises:
-        DatasetError: the file is malformed, lacks a frame, or its times do not increase.
-    """
+    """Return the times of the frames: lines of stem and seconds, else equal intervals."""
     if not path.exists():
         return [i / fps for i in range(len(stems))]
     times_s: dict[str, float] = {}

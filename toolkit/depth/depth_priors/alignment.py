@@ -211,8 +211,6 @@ def fit_grid(samples: Samples, whole: ScaleShift, nodes: int, with_shift: bool) 
         nodes: number of nodes per axis, at least 2.
         with_shift: whether shifts differ between nodes; otherwise only scales do.
     """
-    if nodes < 2:
-        raise ValueError(f"a grid needs at least two nodes per axis, got {nodes}")
     samples = samples.thinned()
     a, b = 1.0 / whole.scale, -whole.shift / whole.scale
     count = nodes * nodes
@@ -233,10 +231,9 @@ def fit_grid(samples: Samples, whole: ScaleShift, nodes: int, with_shift: bool) 
     return ScaleShiftGrid(whole, slope, offset.reshape(nodes, nodes))
 
 
-def fit(samples: Samples, kind: DepthKind, shift: bool, robust: bool) -> ScaleShift | None:
-    """Correction of one image or a set, with a shift where both the prior and the option allow."""
-    estimate = robust_fit if robust else least_squares
-    return estimate(samples, shift and (kind.has_shift or not robust))
+def fit(samples: Samples, kind: DepthKind, robust: bool) -> ScaleShift | None:
+    """Correction of one image or a set. Plain least squares (H-16) always have a shift."""
+    return robust_fit(samples, kind.has_shift) if robust else least_squares(samples)
 
 
 @dataclass(frozen=True)

@@ -94,13 +94,8 @@ def sweep_depth(
         images: of the reference view.
         sources: other views, at least one of them coarse.
         inverse_depths: of the farthest and the nearest plane.
-
-    Raises:
-        ValueError: sizes disagree, there is no source, or the inverse depths are not ascending.
     """
     far, near = inverse_depths
-    if not 0 <= far < near:
-        raise ValueError(f"inverse depths must be ascending and at least 0, got {far}, {near}")
     step, half = _half_depth(camera, images, sources, far, near)
     middle = double_depth(half, images.half, images.full, _MAX_STEP * step)
     fine = _BAND_STEP * step

@@ -99,12 +99,12 @@ class DepthCompletion:
         own = samples_of(prior, known)
         around = [samples_of(prior, self._seen_from(number, n)) for n in self._around(number)]
         samples = Samples.joined([own, *(s.thinned(MAX_SAMPLES // 8) for s in around)])
-        whole = fit(samples, prior.kind, options.shift, options.robust)
+        whole = fit(samples, prior.kind, options.robust)
         if whole is None or whole.inliers < _MIN_INLIERS:
             return None
         if options.grid < 2:
             return whole
-        return fit_grid(samples, whole, options.grid, options.shift and prior.kind.has_shift)
+        return fit_grid(samples, whole, options.grid, prior.kind.has_shift)
 
     def _around(self, number: int) -> list[int]:
         first, last = max(0, number - _AROUND), min(len(self._views) - 1, number + _AROUND)

@@ -158,7 +158,7 @@ class DepthCorrection:
         return whole
 
     def _fit(self, samples: Samples, kind: DepthKind) -> ScaleShift | None:
-        return fit(samples, kind, self._options.shift, self._options.robust)
+        return fit(samples, kind, self._options.robust)
 
     def _local(self, samples: Samples, whole: ScaleShift, prior: PriorImage) -> Correction:
         nodes = self._options.grid

@@ -44,14 +44,6 @@ def _model(options: DepthPriorOptions) -> DepthProvider:
         from toolkit.depth.depth_priors.providers.dust3r import PairwiseDepth
 
         return PairwiseDepth(options.model, options.kind)
-    if options.kind == "depth-anything-3":
-        from toolkit.depth.depth_priors.providers.depth_anything_3 import DepthAnything3Depth
+    from toolkit.depth.depth_priors.providers.single_pass import SINGLE_PASS
 
-        return DepthAnything3Depth(options.model)
-    if options.kind == "moge":
-        from toolkit.depth.depth_priors.providers.moge import MogeDepth
-
-        return MogeDepth(options.model)
-    from toolkit.depth.depth_priors.providers.vggt import VggtDepth
-
-    return VggtDepth(options.model)
+    return SINGLE_PASS[options.kind](options.model)

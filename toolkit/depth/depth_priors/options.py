@@ -26,18 +26,12 @@ class DepthMapOptions:
 
     folder: Path | None = None
     """Folder with one map per frame, named like the frame's image (STEM.npy, .png, .tif or .exr);
-    required for this source."""
+    required for this source. 16-bit PNG files are in thousandths."""
     values: Literal["metric", "scaled", "affine", "affine-inverse"] = "scaled"
     """What the maps contain: depth in metres (metric), depth up to scale (scaled), up to scale and
     shift (affine), or inverse depth up to scale and shift (affine-inverse)."""
     scope: Literal["frame", "set", "sequence"] = "frame"
     """Which maps share scale and shift: none (frame), those of a set, or all (sequence)."""
-    png_scale: PositiveFloat = 1000.0
-    """Values of 16-bit PNG files per unit of depth, or of inverse depth."""
-    model: str = ""
-    """Name of the model that wrote the maps, for the report."""
-    licence: str = "unknown"
-    """Licence of that model's weights, for the report."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +40,6 @@ class PriorModelOptions:
 
     path: Path | None = None
     """Local folder or file with the weights; required for all sources except maps."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device that runs the model."""
     values: Literal["auto", "metric", "scaled", "affine", "affine-inverse"] = "auto"
     """What a model of the transformers library predicts, as in --depth-prior.maps.values; by
     default according to its configuration (auto)."""
@@ -65,9 +57,6 @@ class ScaleCorrectionOptions:
     robust: bool = True
     """Tolerate outliers, and attribute noise to the prior. Otherwise, plain least squares as
     printed in Hier-SLAM++."""
-    shift: bool = True
-    """Estimate a shift beside the scale, for priors that have one. Plain least squares always
-    estimate it."""
     share: Literal["scope", "frame"] = "scope"
     """Which frames have a common scale and shift: according to the model (scope), or none
     (frame)."""

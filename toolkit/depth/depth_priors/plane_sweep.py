@@ -32,15 +32,13 @@ def plane_sweep(
         camera: intrinsics of all images.
         intensity: [H, W] reference image in [0, 1].
         sources: other images, at least one.
-        planes: inverse depths that are compared.
+        planes: inverse depths that are compared, at least two.
 
     Raises:
-        ValueError: sizes disagree, there is no source, or there are less than two planes.
+        ValueError: sizes disagree.
     """
     options = options or SweepOptions()
     check_images(camera, [intensity, planes.first, *(source.image for source in sources)])
-    if not sources or planes.count < 2 or not planes.step > 0:
-        raise ValueError("a sweep needs a source, and two planes with a step above 0")
     module = kernels()
     if module is None:
         return reference.plane_sweep(camera, intensity, sources, planes, options)

@@ -221,11 +221,7 @@ def _agreement(camera: Camera, pairs: Sequence[_Pair], convention: PoseConventio
 
 
 def _check(camera: Camera, pairs: Sequence[_Pair], agreement: float) -> None:
-    """Check that the poses agree with the images.
-
-    Raises:
-        DatasetError: they contradict them.
-    """
+    """Check that the poses agree with the images."""
     if agreement >= _MIN_AGREEMENT or sum(len(p.first_px) for p in pairs) < _MIN_MATCHES:
         return
     few = pairs[:: max(1, len(pairs) // 20)]

@@ -241,12 +241,7 @@ def ray_cluster(options: RayOptions) -> Iterator[RayCluster]:
 
 
 def _check_reachable(address: str) -> None:
-    """Connect once to HOST:PORT, because Ray retries for minutes.
-
-    Raises:
-        OSError: nothing listens there.
-        ValueError: the port is not a number.
-    """
+    """Connect once to HOST:PORT, because Ray retries for minutes."""
     host, separator, port = address.rpartition(":")
     if separator and "://" not in address:
         socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S).close()

@@ -57,21 +57,10 @@ class Calibration:
         Args:
             truth, predicted: class ids [H, W].
             confidence: [H, W] in [0, 1], of the prediction.
-
-        Raises:
-            ValueError: shapes differ, or the confidence of a valid pixel is not within [0, 1].
         """
-        if not truth.shape == predicted.shape == confidence.shape:
-            raise ValueError(
-                "truth, predicted and confidence must have the same shape, got "
-                f"{list(truth.shape)}, {list(predicted.shape)} and {list(confidence.shape)}"
-            )
         self._labelled_pixels += int((truth != VOID).sum())
         valid = (truth != VOID) & (predicted != VOID)
         values = confidence[valid].astype(np.float64)
-        # This form of the comparison also rejects NaN.
-        if not ((values >= 0.0) & (values <= 1.0)).all():
-            raise ValueError("confidence must be within [0, 1]")
         # Bins include their upper bound; the first bin also includes its lower bound.
         index = np.clip(np.ceil(values * _BINS).astype(int) - 1, 0, _BINS - 1)
         correct = (truth == predicted)[valid]

@@ -33,15 +33,7 @@ def depth_l1(rendered_m: NDArray, measured_m: NDArray) -> DepthError:
         rendered_m: [H, W] z-depth divided by the silhouette, in metres; 0 or non-finite where
             nothing was rendered.
         measured_m: [H, W] z-depth in metres; 0 or non-finite where missing.
-
-    Raises:
-        ValueError: shapes differ.
     """
-    if rendered_m.shape != measured_m.shape or rendered_m.ndim != 2:
-        raise ValueError(
-            f"depth images must both have shape [H, W], got {list(rendered_m.shape)} and "
-            f"{list(measured_m.shape)}"
-        )
     measured = _is_valid(measured_m)
     valid = measured & _is_valid(rendered_m)
     pixels = int(valid.sum())

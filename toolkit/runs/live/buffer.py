@@ -44,8 +44,6 @@ class FrameBuffer:
     """
 
     def __init__(self, capacity: int = 1) -> None:
-        if capacity < 1:
-            raise ValueError(f"capacity must be at least 1, got {capacity}")
         self._capacity = capacity
         self._frames: deque[CapturedFrame] = deque()
         self._dropped: list[DroppedFrame] = []

@@ -107,11 +107,7 @@ def read_registration(path: Path, run_a: Path, run_b: Path) -> NDArray[np.float6
 def _check_descriptors(
     a: FinishedRun, b: FinishedRun, submaps_a: SavedSubmaps, submaps_b: SavedSubmaps
 ) -> None:
-    """Check that the keyframes of both runs have comparable descriptors.
-
-    Raises:
-        SettingsError: a run has no descriptors, or they were computed with different settings.
-    """
+    """Check that the keyframes of both runs have comparable descriptors."""
     lengths = []
     for run, submaps in ((a, submaps_a), (b, submaps_b)):
         length = max(submap.descriptors.shape[1] for submap in submaps.values())

@@ -49,8 +49,7 @@ def open_splat_map(file: Path, settings: RunSettings, dataset: Dataset | None) -
     limited = cloud.opacity_logits.clamp(-_MAX_LOGIT, _MAX_LOGIT)
     cloud = replace(cloud, opacity_logits=limited)
     describer = build_describer(settings.loops.features)
-    options = settings.loops.relocalisation
-    parts = MapParts(backend(settings.backend), tracker, describer, options)
+    parts = MapParts(backend(settings.backend), tracker, describer)
     frames = _frames(dataset, settings)
     found = metric_map(cloud, dataset.camera, frames, parts)
     if found is None:

@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
 
 from torch import Tensor
 
-from toolkit.base.errors import FormatError
 from toolkit.semantics.features.encoder import check_images, unit_length
 from toolkit.semantics.features.pretrained.vision_transformer import VisionTransformer
 
 # G's threshold of 0.20, interpreted as the squared distance that FAISS returns: a cosine of 0.90.
 _THRESHOLD = math.sqrt(0.20)
 
-Pooling = Literal["class", "mean"]
-
 
 class Dinov2Encoder:
-    """The class token, or the mean of the patch tokens, as a unit vector.
+    """The class token as a unit vector, or the mean of the patches of a model without one.
 
     The threshold is the paper's and was not verified.
 
     Args:
         folder: local folder with config.json and weights; nothing is downloaded.
-        pooling: "class" for the class token, "mean" for the mean of the patch tokens.
         longest_side: approximate length in pixels to which the longer image side is scaled.
         device: "cpu", "cuda", or "auto".
 
@@ -41,29 +36,14 @@ class Dinov2Encoder:
     threshold = _THRESHOLD
     differentiable = True
 
-    def __init__(
-        self,
-        folder: Path,
-        pooling: Pooling = "class",
-        longest_side: int = 224,
-        device: str = "auto",
-    ) -> None:
-        self._folder, self._pooling = folder, pooling
+    def __init__(self, folder: Path, longest_side: int = 224, device: str = "auto") -> None:
         self._model = VisionTransformer(folder, longest_side, device)
         self.dimensions = self._model.channels
 
     def describe(self, images: Tensor) -> Tensor:
-        """Descriptors [B, D] of images [B, 3, H, W]; see `Encoder.describe`.
-
-        Raises:
-            FormatError: `pooling` is "class", but the model has no class token.
-        """
+        """Descriptors [B, D] of images [B, 3, H, W]; see `Encoder.describe`."""
         check_images(images)
         tokens = self._model.tokens(images.float())
-        if self._pooling == "mean":
-            chosen = tokens.patches.mean(dim=(1, 2))
-        elif tokens.class_token is not None:
-            chosen = tokens.class_token
-        else:
-            raise FormatError(f"{self._folder}: the model has no class token; use pooling mean")
+        token = tokens.class_token
+        chosen = tokens.patches.mean(dim=(1, 2)) if token is None else token
         return unit_length(chosen).to(images.device)

@@ -32,7 +32,7 @@ def build_encoder(settings: FeatureOptions) -> Encoder:
     # Imported on demand, because transformers takes seconds to load.
     from toolkit.semantics.features.dinov2 import Dinov2Encoder
 
-    return Dinov2Encoder(settings.folder, settings.pooling, device=settings.device)
+    return Dinov2Encoder(settings.folder)
 
 
 def build_describer(settings: FeatureOptions) -> ViewDescriber:

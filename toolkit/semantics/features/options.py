@@ -22,8 +22,3 @@ class FeatureOptions:
     folder: Path | None = None
     """Local folder of the vision transformer with config.json and the weights; required for
     dinov2."""
-    pooling: Literal["class", "mean"] = "class"
-    """Token of the vision transformer used as the descriptor: the class token (class) or the mean
-    of all patches (mean)."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device of the vision transformer."""

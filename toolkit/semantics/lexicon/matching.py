@@ -94,11 +94,7 @@ def match(
 
 
 def _named(text: str, taxonomy: Taxonomy, remedy: str) -> Match:
-    """Return the match of a name.
-
-    Raises:
-        FormatError: there is none; the message has similar names, or else the remedy.
-    """
+    """Return the match of a name."""
     try:
         return Match(text, (taxonomy.find(text),))
     except FormatError as error:

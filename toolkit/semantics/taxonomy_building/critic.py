@@ -45,10 +45,8 @@ def settle(question: Question, grouper: Grouper, fallback: Grouper, rounds: int 
         if the fallback does not distinguish them either.
 
     Raises:
-        ValueError: items are repeated, or the clusters do not contain each of them once.
         ToolkitError: the grouper is not available, or the fallback fails.
     """
-    _check(question)
     repairs = Repairs()
     draft: Draft = (ClusterNames if question.clusters else Groups)(question, repairs)
     complaint = ""
@@ -68,11 +66,3 @@ def settle(question: Question, grouper: Grouper, fallback: Grouper, rounds: int 
         draft.complete(fallback)
     repairs.log(question)
     return draft.result()
-
-
-def _check(question: Question) -> None:
-    items = sorted(question.items)
-    if len(set(items)) != len(items):
-        raise ValueError("the items of a question must differ")
-    if question.clusters and sorted(i for c in question.clusters for i in c) != items:
-        raise ValueError("the clusters of a question must contain each of its items once")

@@ -150,7 +150,6 @@ class CandidateFinder:
         Raises:
             ValueError: the keyframe is out of order or has a different number of classes.
         """
-        self._check(keyframe)
         number = self._index.add(keyframe.descriptor)
         self._frames.append(keyframe.frame)
         self._submaps.append(keyframe.submap)
@@ -222,20 +221,6 @@ class CandidateFinder:
         submap_counts = arrays_below(state, "submap_counts/")
         self._submap_counts = {int(n): np.array(c) for n, c in submap_counts.items()}
 
-    def _check(self, keyframe: DescribedKeyframe) -> None:
-        if not self._frames:
-            return
-        if keyframe.frame <= self._frames[-1] or keyframe.travelled_m < self._travelled_m[-1]:
-            raise ValueError(
-                f"keyframe {keyframe.frame} at {keyframe.travelled_m:.3f} m must come after "
-                f"{self._frames[-1]} at {self._travelled_m[-1]:.3f} m"
-            )
-        if keyframe.class_counts.shape != self._class_counts[-1].shape:
-            raise ValueError(
-                f"class_counts must have shape {list(self._class_counts[-1].shape)}, "
-                f"got {list(keyframe.class_counts.shape)}"
-            )
-
     def _beyond_gap(self, number: int) -> NDArray[np.bool_]:
         """[K] mask of keyframes older by the minimum number of frames and metres."""
         frames, travelled_m = np.array(self._frames), np.array(self._travelled_m)
@@ -263,16 +248,8 @@ class CandidateFinder:
     def _evaluate(
         self, number: int, near: Neighbour, limit: float, landmarks: float | None
     ) -> LoopCandidate:
-        # Vectors of the paper's weighting are not of unit length, so that no limit applies.
-        printed = self._landmarks.weighting == "paper"
-        maximum = np.inf if printed else self.options.max_landmark_distance
-        accepted, reason = True, ""
-        if near.distance >= limit:
-            accepted = False
-            reason = f"descriptor distance {near.distance:.3f}, not below {limit:.3f}"
-        elif landmarks is not None and landmarks > maximum:
-            accepted = False
-            reason = f"landmark divergence {landmarks:.3f}, above {maximum:.3f}"
+        accepted = near.distance < limit
+        reason = f"descriptor distance {near.distance:.3f}, not below {limit:.3f}"
         return LoopCandidate(
             query=self._frames[number],
             match=self._frames[near.keyframe],
@@ -281,7 +258,7 @@ class CandidateFinder:
             distance=near.distance,
             cosine=near.cosine,
             landmark_distance=landmarks,
-            reason=reason,
+            reason="" if accepted else reason,
             accepted=accepted,
         )
 

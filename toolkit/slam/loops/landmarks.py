@@ -33,12 +33,8 @@ def landmark_vectors(counts: Counts, options: LandmarkOptions | None = None) -> 
     Args:
         counts: [K, C] observed pixels or Gaussians per class, void excluded.
         options: weighting, not "paper"; default if None.
-
-    Raises:
-        ValueError: shapes are wrong, or a count is negative.
     """
     options = options or LandmarkOptions()
-    counts = _checked(counts)
     if options.weighting == "inverse":
         vectors = _inverse_frequencies(counts, options.min_count)
         vectors *= gaussian_idf(counts.sum(axis=0))
@@ -58,11 +54,7 @@ def printed_vectors(counts: Counts, submap_counts: Counts) -> Array:
     Args:
         counts: [K, C] observed Gaussians per class.
         submap_counts: [K, C] Gaussians per class in the submap of each keyframe.
-
-    Raises:
-        ValueError: shapes are wrong, or a count is negative.
     """
-    counts, submap_counts = _checked(counts), _checked(submap_counts)
     return _inverse_frequencies(counts, floor=1) * gaussian_idf(submap_counts)
 
 
@@ -86,13 +78,6 @@ def landmark_distance(first: Array, second: Array) -> float | None:
     if not first.any() or not second.any():
         return None
     return float(np.linalg.norm(first - second))
-
-
-def _checked(counts: Counts) -> Counts:
-    counts = np.asarray(counts)
-    if counts.ndim != 2 or (counts.size and counts.min() < 0):
-        raise ValueError(f"counts must be non-negative with shape [K, C], got {list(counts.shape)}")
-    return counts
 
 
 def _inverse_frequencies(counts: Counts, floor: int) -> Array:

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from toolkit.base.options import (
-    Fraction,
     NonNegativeFloat,
     NonNegativeInt,
-    PositiveFloat,
     PositiveInt,
     Range,
 )
@@ -40,11 +38,6 @@ class CandidateOptions:
     """Minimum number of frames between query and match."""
     min_gap_m: NonNegativeFloat = 0.5
     """Minimum path length between query and match, in metres."""
-    # Nine of ten views that overlap by 60 % are nearer than 0.67 in rooms of many classes, but most
-    # of those that overlap by 30 % are not.
-    max_landmark_distance: PositiveFloat = 1.5
-    """Maximum distance of the unit landmark vectors of query and match; from 1.42 on all pass. It
-    does not apply to --loops.landmarks.weighting paper, whose vectors are not of unit length."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +71,6 @@ class ObjectOptions:
 class RelocalisationOptions:
     """Relocalisation of a lost camera."""
 
-    # More than for a tracked frame, since no neighbouring frame confirms the pose.
-    min_visible: Fraction = 0.4
-    """Minimum fraction of the frame's measured pixels that the map explains."""
     patience: PositiveInt = 15
     """Number of consecutive doubtful or lost frames after which a new submap is started; at low
     frame rates, it is started after three frames and a second."""

@@ -52,6 +52,9 @@ _TRIES, _POOL_FACTOR = 5, 4
 _SEEN_FROM_M = 2.0
 # A frame may be at another place, too, if its likeness there is this fraction of the best one.
 _AS_ALIKE = 0.95
+# Minimum fraction of the frame's measured pixels that the map explains: more than for a tracked
+# frame, since no neighbouring frame confirms the pose.
+_MIN_VISIBLE = 0.4
 # Maximum robust scale of the photometric residuals, for intensities in [0, 1]: less than for a
 # tracked frame, since no neighbouring frame confirms the pose.
 _MAX_INTENSITY_RESIDUAL = 0.1
@@ -146,14 +149,14 @@ class Relocaliser:
             return None
         start = keyframe.T_map_camera @ offset.T_first_second
         result = tracker.locate(frame, submap.gaussians, start, search=False)
-        return Relocalisation(submap.number, result) if is_found(result, self.options) else None
+        return Relocalisation(submap.number, result) if is_found(result) else None
 
 
-def is_found(result: TrackingResult, options: RelocalisationOptions) -> bool:
+def is_found(result: TrackingResult) -> bool:
     """Whether a frame was located so well that its pose needs no neighbouring frame."""
     return (
         result.health is Health.GOOD
-        and result.visible_fraction >= options.min_visible
+        and result.visible_fraction >= _MIN_VISIBLE
         and result.intensity_residual <= _MAX_INTENSITY_RESIDUAL
     )
 

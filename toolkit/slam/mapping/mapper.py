@@ -51,6 +51,8 @@ from toolkit.splatting.rendering.backend import GaussianGradients
 
 _log = logging.getLogger(__name__)
 
+# Maximum number of optimisation iterations on a keyframe that is not explained yet.
+_MAX_ITERATIONS = 12
 # Maximum number of keyframes optimised together, minimum overlap of the others with the newest one,
 # and fraction of the iterations spent on the newest one.
 _WINDOW, _MIN_OVERLAP, _NEWEST_SHARE = 8, 0.15, 0.4
@@ -187,7 +189,7 @@ class Mapper:
         all_new = seeded == len(submap.gaussians)
         steps = options.first_iterations if all_new else options.iterations
         if self.deferred is None:
-            effort = Effort(steps, steps if all_new else max(options.max_iterations, steps))
+            effort = Effort(steps, steps if all_new else max(_MAX_ITERATIONS, steps))
             loss = self._optimise(submap, effort)
         else:
             effort, loss = Effort(0, 0), float("nan")
@@ -313,7 +315,7 @@ class Mapper:
         merge &= submap.gaussians.ellipsoids is None
         if merge:
             classes = self.semantics.classes_of(submap.gaussians.features)
-            to_ellipsoids(submap, classes, self.options.final_harmonics, low_pass)
+            to_ellipsoids(submap, classes, low_pass)
         refine(submap, self._optimisation, self.options, self._generator, steps, merge)
         support = self._clear_free_space(submap, T_map_cameras)
         if self.options.final_iterations:

@@ -13,7 +13,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.base.geometry.harmonics import HARMONIC_COUNTS
 from toolkit.slam.submaps.optimiser_state import OptimiserState
 from toolkit.slam.submaps.submap import Submap
 from toolkit.splatting.gaussians.cloud import PIXEL_FILTER, GaussianCloud, LowPass
@@ -38,21 +37,18 @@ _IN_PLANE = 1.15
 _MAX_NUMBER = 2**62
 
 
-def to_ellipsoids(
-    submap: Submap, classes: Tensor, degree: int, low_pass: LowPass = PIXEL_FILTER
-) -> None:
+def to_ellipsoids(submap: Submap, classes: Tensor, low_pass: LowPass = PIXEL_FILTER) -> None:
     """Merge the spheres of a submap; its optimiser starts again.
 
     Args:
         classes: [N] class ids, which are kept apart.
-        degree: highest degree of the harmonics, which start at zero.
         low_pass: of the ellipsoids.
     """
     cloud = submap.gaussians
     if not len(cloud):
         return
     patches = _patches(cloud, _patch_sizes(submap), classes.cpu().numpy())
-    merged, heaviest = _merged(cloud, patches, degree, low_pass)
+    merged, heaviest = _merged(cloud, patches, low_pass)
     submap.gaussians = merged
     submap.seeded_by = submap.seeded_by.index_select(0, heaviest)
     steps = submap.optimiser.steps.index_select(0, heaviest)
@@ -107,7 +103,7 @@ def _is_mixed(cells: NDArray[np.int64], classes: NDArray) -> NDArray[np.bool_]:
 
 
 def _merged(
-    cloud: GaussianCloud, patches: NDArray[np.int64], degree: int, low_pass: LowPass
+    cloud: GaussianCloud, patches: NDArray[np.int64], low_pass: LowPass
 ) -> tuple[GaussianCloud, Tensor]:
     """Return one ellipsoid for each patch, and the index [M] of its heaviest sphere."""
     weights = (cloud.opacities * cloud.radii_m**2).cpu().double().numpy() + 1e-12
@@ -126,7 +122,8 @@ def _merged(
     variances[np.bincount(patches) > 1, 1:] *= _IN_PLANE**2
     log_scales = _tensor(0.5 * np.log(np.maximum(variances, _SMALLEST_M**2)), cloud)
     opacities = _tensor(mean(cloud.opacities.cpu()).clip(*_OPACITIES)[:, 0], cloud)
-    harmonics = cloud.means.new_zeros(len(total), HARMONIC_COUNTS[degree], 3)
+    # Degree 1: +0.15 dB on unseen views of a kitchen, nothing in a glossy room, larger files.
+    harmonics = cloud.means.new_zeros(len(total), 0, 3)
     features = _tensor(mean(cloud.features.cpu()), cloud) if cloud.features.shape[1] else None
     merged = GaussianCloud(
         _tensor(means, cloud),

@@ -33,6 +33,9 @@ from toolkit.splatting.rendering.texture import resample_at_centres
 _MAX_KEYFRAMES = 32
 # Learning rate of the scale, and of the shift relative to the median depth.
 _RATE = 1e-3
+# Weight of the absolute deviation of scale and shift (in units of the depth) from their initial
+# values, relative to the depth loss (H-17: L_reg).
+_REGULARISATION = 0.1
 # Decay of Adam's moments, and its epsilon for gradients relative to the depth loss.
 _DECAY, _DECAY_SQUARED, _EPSILON = 0.9, 0.99, 1e-8
 # Learning rates of keyframe poses in bundle adjustment.
@@ -55,10 +58,8 @@ class KeyframeImages:
         return self._cache.get(keyframe.index, lambda: keyframe.images.to(self._device), sources)
 
 
-def adjust_depth(
-    keyframe: Keyframe, gradient: Tensor, images: Tensor, regularisation: float
-) -> None:
-    """Take one step on the scale and the shift of a keyframe's depth.
+def adjust_depth(keyframe: Keyframe, gradient: Tensor, images: Tensor) -> None:
+    """Take one step on the scale and the shift of a corrected depth prior (H-17).
 
     The state of a keyframe is log scale, shift relative to the median depth, two first and two
     second moments of their gradients, and the number of steps. The logarithm keeps the scale
@@ -68,7 +69,6 @@ def adjust_depth(
         keyframe: its `prior_m` is the depth after the initial correction.
         gradient: [C, H, W] of the mapping loss by the rendered images, as a sum over pixels.
         images: [C, H, W] the rendered images.
-        regularisation: weight of the deviation from the initial values.
     """
     prior_m = keyframe.prior_m
     assert prior_m is not None
@@ -86,7 +86,7 @@ def adjust_depth(
         [float((by_depth * prior_m).sum()) * scale, float(by_depth.sum()) * median_m]
     )
     deviation = np.array([np.sign(scale - 1.0) * scale, np.sign(shift) * median_m])
-    descent = descent / count + regularisation * deviation
+    descent = descent / count + _REGULARISATION * deviation
     steps = state[6] + 1
     first = _DECAY * state[2:4] + (1.0 - _DECAY) * descent
     second = _DECAY_SQUARED * state[4:6] + (1.0 - _DECAY_SQUARED) * descent**2
@@ -200,9 +200,8 @@ class MapOptimisation:
                 gradient[COLOUR].masked_fill_(moving, 0.0)
             if observed.inferred is not None:
                 weigh_depth(gradient, images, observed.inferred, self._options.inferred_depth)
-            adjustment = self._options.depth_adjustment
-            if keyframe.prior_m is not None and adjustment.use:
-                adjust_depth(keyframe, gradient, images, adjustment.regularisation)
+            if keyframe.prior_m is not None:
+                adjust_depth(keyframe, gradient, images)
         with self._recorder.timed(Stage.MAP_SEMANTIC_LOSS):
             _, gradient, detached = self._semantics.add_gradient(view, compared, progress, gradient)
         if feature is not None:

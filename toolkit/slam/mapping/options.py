@@ -53,29 +53,13 @@ class ConsensusOptions:
 
 
 @dataclass(frozen=True)
-class DepthAdjustmentOptions:
-    """Scale and shift of corrected depth priors, optimised with the map (Hier-SLAM++, equation 17).
-
-    Depth of sensors and of neighbouring keyframes is not adjusted."""
-
-    use: bool = True
-    """Optimise scale and shift of each keyframe whose depth is a corrected prior."""
-    regularisation: NonNegativeFloat = 0.1
-    """Weight of the absolute deviation of scale and shift (in units of the depth) from their
-    initial values, relative to the depth loss (Hier-SLAM++: L_reg)."""
-
-
-@dataclass(frozen=True)
 class MapperOptions:
     """Mapping: seeding, optimisation and refinement of the Gaussians."""
 
     # Trajectories do not gain from more. With 12, a room and three recordings gained 0.1 to 0.3 dB,
     # in more than twice the time.
     iterations: NonNegativeInt = 3
-    """Minimum number of optimisation iterations per keyframe."""
-    max_iterations: NonNegativeInt = 12
-    """Maximum number of optimisation iterations per keyframe. More than the minimum are taken
-    while a keyframe that shows much new surface is not explained yet."""
+    """Minimum number of optimisation iterations per keyframe; up to 12 for much new surface."""
     first_iterations: NonNegativeInt = 20
     """Number of optimisation iterations on the first keyframe."""
     final_iterations: NonNegativeInt = 6
@@ -93,10 +77,6 @@ class MapperOptions:
     final_shape: Literal["ellipsoids", "spheres"] = "ellipsoids"
     """Shape of the Gaussians of the finished map. Ellipsoids are merged from the spheres on which
     the camera was tracked, before the final refinement, and are rendered as 3DGS does."""
-    # Degree 1: +0.15 dB on unseen views of a kitchen, nothing in a glossy room, larger files.
-    final_harmonics: Annotated[int, Range(ge=0, le=3)] = 0
-    """Degree of the spherical harmonics of ellipsoids, for colours that depend on the direction of
-    view. 0: none."""
     fill_holes: bool = True
     """Seed Gaussians where no keyframe measured depth: from frames between keyframes, and at an
     inferred depth before the final refinement."""
@@ -132,4 +112,3 @@ class MapperOptions:
     seeding: SeedingOptions = SeedingOptions()
     loss: RgbdLossWeights = RgbdLossWeights()
     consensus: ConsensusOptions = ConsensusOptions()
-    depth_adjustment: DepthAdjustmentOptions = DepthAdjustmentOptions()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -20,7 +19,7 @@ from toolkit.semantics.decoding import Decoding, decode, decode_level
 from toolkit.semantics.options import SemanticsOptions
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.taxonomy import Taxonomy
-from toolkit.splatting.losses.semantic import SemanticLoss
+from toolkit.splatting.losses.semantic import INTER_WEIGHT, SemanticLoss
 from toolkit.splatting.rendering import RenderOutput, SurfaceView
 from toolkit.splatting.rendering.output import FEATURES
 
@@ -301,8 +300,8 @@ def build_semantic_mapping(
             torch.Generator().manual_seed(seed),
             options.network.replay,
         )
-    weights = options.loss
+    inter = INTER_WEIGHT
     if not options.code.normalise:
         # The network divides its loss by that of a uniform prediction.
-        weights = replace(weights, inter=weights.inter * math.log(len(code.taxonomy)))
-    return SemanticMapping(SemanticLoss(code, weights, network, seed), options.reader)
+        inter *= math.log(len(code.taxonomy))
+    return SemanticMapping(SemanticLoss(code, options.loss, network, seed, inter), options.reader)

@@ -43,8 +43,6 @@ class ArrivalSchedule:
     """
 
     def __init__(self, fps: float) -> None:
-        if not fps > 0:
-            raise ValueError(f"fps must be positive, got {fps}")
         self.period_s = 1.0 / fps
         self._origin_s: float | None = None
 

@@ -20,6 +20,8 @@ from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.histograms import class_histogram, smoothed_kl
 from toolkit.slam.submaps.options import AllocationOptions
 
+# Fraction of a view inside the submap's volume below which it is spatially new (G: 0.5).
+_MIN_OVERLAP = 0.5
 # KL divergence in nats from which a view is semantically new with many classes (G: 0.4).
 _MIN_DIVERGENCE = 0.4
 # Distance from the anchor that starts a new submap by the rule motion.
@@ -132,7 +134,7 @@ class Allocation:
     def _left(self, keyframes: list[Keyframe], overlap: float, divergence: float) -> str:
         """Why the newest keyframe has left the submap; empty if it has not."""
         options = self.options
-        if self.has_enough(keyframes) and overlap < options.min_overlap:
+        if self.has_enough(keyframes) and overlap < _MIN_OVERLAP:
             return f"{len(keyframes)} keyframes and overlap {overlap:.2f}"
         if options.rule == "motion":
             return self._far_from_anchor(keyframes)
@@ -148,7 +150,7 @@ class Allocation:
         """Why the view is spatially and semantically new; empty if it is not."""
         # Without labels the divergence is nan, and the overlap alone decides.
         same_classes = divergence <= self._min_divergence
-        if overlap >= self.options.min_overlap or same_classes:
+        if overlap >= _MIN_OVERLAP or same_classes:
             return ""
         return f"overlap {overlap:.2f} and divergence {divergence:.2f}"
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from toolkit.base.options import (
-    Fraction,
     NonNegativeFloat,
     NonNegativeInt,
     PositiveFloat,
@@ -20,11 +19,8 @@ class AllocationOptions:
     """When a new submap is started."""
 
     rule: Literal["places", "motion"] = "places"
-    """Criterion for a new submap: the view leaves the submap's volume and its classes change
-    (places), or the camera's distance from the anchor (motion)."""
-    min_overlap: Fraction = 0.5
-    """Minimum fraction of the view inside the submap's volume. Below it, the view is spatially
-    new."""
+    """Criterion for a new submap: less than half of the view is inside the submap's volume and its
+    classes change (places), or the camera's distance from the anchor (motion)."""
     min_divergence: NonNegativeFloat | None = None
     """Minimum KL divergence of the classes in view from the anchor's, in nats. Above it, the view
     is semantically new. By default, 0.4, or 0.05 for geometric labels."""

@@ -80,7 +80,11 @@ _SEARCH_LEVEL = 1
 
 
 class DenseTracker(MovingTracker):
-    """Tracks frames against a map of Gaussians by second-order optimisation."""
+    """Tracks frames against a map of Gaussians by second-order optimisation.
+
+    Args:
+        levels: number of image pyramid levels. The coarsest image should keep 30 pixels per side.
+    """
 
     def __init__(
         self,
@@ -88,10 +92,11 @@ class DenseTracker(MovingTracker):
         limits: HealthLimits | None = None,
         backend_name: str = "auto",
         recorder: Recorder | None = None,
+        levels: int = 4,
     ) -> None:
         super().__init__(limits)
-        self.options = options or DenseOptions()
-        self._prepared = PreparedFrames(self.options.levels, self.options.max_width)
+        self.options, self._levels = options or DenseOptions(), levels
+        self._prepared = PreparedFrames(levels, self.options.max_width)
         self._recorder = recorder or NullRecorder()
         self._renderer = MapRenderer(backend_name, self._recorder)
         self._landmarks = Landmarks()
@@ -305,7 +310,7 @@ class DenseTracker(MovingTracker):
                 return
 
     def _render(self, task: Task, T_map_view: NDArray[np.float64]) -> RenderedView:
-        camera, levels = task.camera, self.options.levels
+        camera, levels = task.camera, self._levels
         return self._renderer.view(task.gaussians, camera, T_map_view, levels)
 
     def _best_start(
@@ -316,7 +321,7 @@ class DenseTracker(MovingTracker):
             return starts[0]
         T_view_map = se3.inverse(view.T_map_view)
         model, frame = view.levels[-1], task.levels[-1]
-        gate = _MAX_DISTANCE * 2 ** (self.options.levels - 1)
+        gate = _MAX_DISTANCE * 2 ** (self._levels - 1)
         costs = [
             linearise(
                 LevelProblem(model, frame, T_view_map @ T, self._scales, self._exposure, gate)

@@ -12,8 +12,6 @@ from toolkit.base.options import NonNegativeFloat, PositiveInt, Range
 class DenseOptions:
     """The dense tracker: Gauss-Newton alignment to the rendered map."""
 
-    levels: Annotated[int, Range(ge=1, le=7)] = 4
-    """Number of image pyramid levels. The coarsest image should keep 30 pixels per side."""
     # Poses at 640x480 are as accurate when tracked at half that size, in half the time.
     max_width: Annotated[int, Range(ge=16)] = 480
     """Maximum image width for tracking, in pixels. Wider images are halved, as long as 320x240

@@ -14,6 +14,9 @@ from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import SemanticLossWeights
 from toolkit.splatting.losses.photometric import mean_ssim
 
+# Weight of the loss across the levels of the tree (H-IV.A: omega 2).
+INTER_WEIGHT = 5.0
+
 
 @dataclass(frozen=True)
 class SemanticGradient:
@@ -39,6 +42,7 @@ class SemanticLoss:
         weights: weights of the terms.
         network: decoder whose loss is the inter-level term, or None to omit the term.
         seed: random seed of the pixel sampling, combined with the network's step count.
+        inter: weight of the inter-level term.
     """
 
     def __init__(
@@ -47,9 +51,10 @@ class SemanticLoss:
         weights: SemanticLossWeights,
         network: NetworkDecoder | None = None,
         seed: int = 0,
+        inter: float = INTER_WEIGHT,
     ) -> None:
         self.code, self.weights, self.network = code, weights, network
-        self._seed = seed
+        self._seed, self._inter = seed, inter
 
     def __call__(
         self,
@@ -80,7 +85,7 @@ class SemanticLoss:
     def _intra(
         self, features: Tensor, silhouette: Tensor, labels: Tensor, gradient: Tensor
     ) -> SemanticGradient:
-        scale = self.weights.weight * self.weights.intra
+        scale = self.weights.weight
         min_silhouette = self.weights.min_silhouette
         by_silhouette = torch.zeros_like(silhouette) if self.weights.moves_geometry else None
         module = kernels_for(features)
@@ -120,7 +125,7 @@ class SemanticLoss:
         sampled_silhouette = silhouette.view(-1)[pixels]
         values = features.view(len(features), -1).index_select(1, pixels) / sampled_silhouette
         value, by_values = network.learn(values, labels.view(-1)[pixels].long())
-        scale = weights.weight * weights.inter
+        scale = weights.weight * self._inter
         # Scale the sample to all valid pixels.
         by_values = by_values * (scale * valid_count / len(pixels))
         result.features.view(len(features), -1)[:, pixels] += by_values / sampled_silhouette
@@ -145,7 +150,7 @@ def semantic_loss_torch(
     features, silhouette, labels = images
     valid = (labels > 0) & (silhouette >= weights.min_silhouette)
     pixels = valid.view(-1).nonzero().squeeze(1)
-    scale = weights.weight * weights.intra
+    scale = weights.weight
     structure = weights.structure if code.is_colour else 0.0
     with torch.enable_grad():
         leaves = [features.detach().requires_grad_(), silhouette.detach().requires_grad_()]

@@ -95,11 +95,7 @@ def _open_standard_streams() -> None:
 
 
 def _check_environment() -> None:
-    """Check what libraries take from the environment, and end the process or raise over.
-
-    Raises:
-        SettingsError: the working folder was removed, or the number of threads is none.
-    """
+    """Check what libraries take from the environment, and end the process or raise over."""
     threads = os.environ.get(_THREADS, "1")
     if not threads.strip().isdecimal() or int(threads) < 1:
         raise SettingsError(

@@ -123,11 +123,7 @@ def missed_picture(dataset: RecordedDataset, loop: MissedLoop) -> np.ndarray:
 
 
 def _check(records: Sequence[Record], path: Path) -> None:
-    """Check that the records have the keys that are displayed.
-
-    Raises:
-        FormatError: a key is missing.
-    """
+    """Check that the records have the keys that are displayed."""
     for number, record in enumerate(records, start=1):
         required = _REQUIRED.get(record.get("kind", ""), ("kind",))
         missing = [key for key in required if key not in record]

@@ -30,6 +30,8 @@ from toolkit.io.images import read_labels
 from toolkit.io.user_files import visible
 
 _SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".exr")
+# Values of 16-bit PNG files per unit of depth, or of inverse depth.
+_PNG_SCALE = np.float32(1000.0)
 # Largest relative difference of aspect ratios that belong to the same field of view.
 _SAME_ASPECT = 0.02
 
@@ -62,7 +64,7 @@ class DepthMapFolder:
                 f"instance {stems[0]}.npy); name the maps like the images"
             )
         self._folder, self._options, self._source = folder, options, source
-        self.model = PriorModel(options.model or f"maps in {folder}", licence=options.licence)
+        self.model = PriorModel(f"maps in {folder}")
 
     def predict(self, frames: Sequence[Frame]) -> PriorSet:
         """Read the maps of some frames.
@@ -80,7 +82,7 @@ class DepthMapFolder:
             raise DatasetError(
                 f"{self._folder} has no depth map for frame {frame.index}; add it, or limit the run"
             )
-        values = read_map(file, self._options.png_scale)
+        values = read_map(file)
         return DepthPrior(
             values,
             DepthKind(self._options.values),
@@ -104,8 +106,8 @@ class DepthMapFolder:
         )
 
 
-def read_map(file: Path, png_scale: float) -> Image:
-    """Read a map [h, w] float32; PNG values are divided by their scale.
+def read_map(file: Path) -> Image:
+    """Read a map [h, w] float32.
 
     Raises:
         DatasetError: the file is unreadable, or has more than one channel.
@@ -116,7 +118,7 @@ def read_map(file: Path, png_scale: float) -> Image:
         if suffix == ".npy":
             values = read_array(file)
         elif suffix == ".png":
-            return read_labels(file).astype(np.float32) / np.float32(png_scale)
+            return read_labels(file).astype(np.float32) / _PNG_SCALE
         elif suffix == ".exr":
             values = read_exr(file, "depth-priors")
         else:

@@ -67,7 +67,7 @@ class PairwiseDepth:
         self._pairs = import_package("dust3r.image_pairs", options, source)
         self._inference = import_package("dust3r.inference", options, source)
         self._alignment = import_package("dust3r.cloud_opt", options, source)
-        self._device = device_of(options.device)
+        self._device = device_of("auto")
         self._network = network.from_pretrained(str(path)).to(self._device).eval()
         self._min_confidence = options.min_confidence
         self.model = PriorModel(f"{kind} {path.name}", sha256_of(path), _LICENCE)

@@ -61,7 +61,7 @@ class TransformersDepth:
         folder = options.path
         assert folder is not None
         check_folder(folder)
-        self._device = device_of(options.device)
+        self._device = device_of("auto")
         self._network = load_model("AutoModelForDepthEstimation", folder).to(self._device)
         self._architecture = str(self._network.config.model_type)
         self._kind = _kind(self._network.config, options, folder)

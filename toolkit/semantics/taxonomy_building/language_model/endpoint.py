@@ -181,12 +181,7 @@ class Endpoint:
         return body
 
     def _answer(self, body: str) -> ChatAnswer:
-        """Parse a response.
-
-        Raises:
-            TransientError, RefusedError: the response is an error with a success status.
-            NoModelError: the response is not a chat completion.
-        """
+        """Parse a response."""
         try:
             values = parse_json(body, any_characters=True)
             if values.get("error"):

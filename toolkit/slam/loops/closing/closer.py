@@ -23,6 +23,7 @@ from toolkit.io.arrays import arrays_below
 from toolkit.slam.loops.candidates import LoopCandidate
 from toolkit.slam.loops.closing.anchor_graph import AnchorGraph
 from toolkit.slam.loops.closing.image_edges import ImageEdges, ImageLoops
+from toolkit.slam.loops.closing.interface import LoopClosing
 from toolkit.slam.loops.closing.keyframe_loops import KeyframeLoops
 from toolkit.slam.loops.closing.log_entries import motion_values
 from toolkit.slam.loops.closing.options import ClosingOptions
@@ -42,7 +43,7 @@ Array = NDArray[np.float64]
 _SIMILAR = 4
 
 
-class LoopCloser:
+class LoopCloser(LoopClosing):
     """Finds loops during a run and corrects the atlas; see `LoopClosing`.
 
     Args:

@@ -25,7 +25,7 @@ from toolkit.slam.loops.closing.pair_matching import PairMatcher
 from toolkit.slam.loops.closing.parts import ClosingParts
 from toolkit.slam.loops.detection import LoopDetector
 from toolkit.slam.loops.log import LoopLog
-from toolkit.slam.loops.options import CandidateOptions, LandmarkOptions
+from toolkit.slam.loops.options import LandmarkOptions
 from toolkit.slam.loops.registration.factory import build_fine, build_registrar, needs_describer
 from toolkit.slam.loops.registration.options import RegistrationOptions
 from toolkit.slam.loops.registration.views import ViewRenderer
@@ -94,7 +94,7 @@ def build_loop_closer(
     parts = ClosingParts(
         registrar=build_registrar(registration, context.seed, renderer, differentiable),
         nearby=build_fine(registration, renderer, differentiable),
-        matcher=PairMatcher(options.pairs, tests=options.verify),
+        matcher=PairMatcher(tests=options.verify),
         relocaliser=Relocaliser(detector, options.relocalisation),
         verification=VerificationLimits() if options.verify else None,
         pose_graph=options.pose_graph,
@@ -107,11 +107,7 @@ def build_loop_closer(
 
 
 def _objects(options: LoopClosureOptions, context: ClosingContext) -> ObjectHypotheses | None:
-    """Build the comparison of objects; None if it is off.
-
-    Raises:
-        SettingsError: loops are not verified, or the map has no semantics.
-    """
+    """Build the comparison of objects; None if it is off."""
     if not options.objects.use:
         return None
     if not options.verify:
@@ -127,18 +123,16 @@ def _objects(options: LoopClosureOptions, context: ClosingContext) -> ObjectHypo
 
 def _check_landmarks(options: LoopClosureOptions) -> None:
     """Reject options of landmarks that would not do what they say."""
-    landmarks, candidates = options.landmarks, options.candidates
+    landmarks = options.landmarks
     if landmarks.weighting == "paper" and landmarks.counted != "gaussians":
         raise SettingsError(
             "--loops.landmarks.weighting paper counts Gaussians; add "
             "--loops.landmarks.counted gaussians, or use the weighting inverse"
         )
-    unlimited = candidates.max_landmark_distance >= CandidateOptions().max_landmark_distance
-    if landmarks != LandmarkOptions() and candidates.threshold == "rank" and unlimited:
+    if landmarks != LandmarkOptions() and options.candidates.threshold == "rank":
         raise SettingsError(
             "--loops.landmarks has no effect on candidates that are ranked by descriptor; add "
-            "--loops.candidates.threshold fixed (or adaptive), or a smaller "
-            "--loops.candidates.max-landmark-distance"
+            "--loops.candidates.threshold fixed (or adaptive)"
         )
 
 

@@ -169,9 +169,6 @@ class ImageLoops:
         Args:
             submaps: numbers of the older submap, of the matches, and of the queries' submap.
             every: whether all pairs of a query are verified, instead of the first one that passes.
-
-        Raises:
-            ToolkitError: a submap cannot be read.
         """
         first, second = (
             {keyframe.index: keyframe for keyframe in atlas.submap(number).keyframes}

@@ -1,9 +1,9 @@
-"""Interface between the SLAM system and loop closure, and its implementation without loops."""
+"""Interface between the SLAM system and loop closure, which closes no loops by default."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,34 +19,34 @@ from toolkit.slam.tracking.reach import Reach
 Array = NDArray[np.float64]
 
 
-class LoopClosing(Protocol):
-    """Receives the events of a run, in chronological order."""
+class LoopClosing:
+    """Receives the events of a run, in chronological order.
+
+    These methods neither close loops nor relocalise frames.
+    """
 
     @property
     def loops(self) -> Sequence[PoseEdge]:
         """The accepted loop edges between submaps."""
-        ...
+        return ()
 
     @property
     def relocaliser(self) -> Relocaliser | None:
         """Relocalises lost frames; None without relocalisation."""
-        ...
+        return None
 
     def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
         """Keyframes of the active submap that look most similar to a view, most similar first."""
-        ...
+        return []
 
     def map_loaded(self, atlas: Atlas) -> None:
         """The atlas has loaded the map of an earlier run."""
-        ...
 
     def defer(self) -> None:
         """Close loops between submaps in `finish` only, because registration takes long."""
-        ...
 
     def keyframe_added(self, atlas: Atlas) -> None:
         """The active submap has a new keyframe."""
-        ...
 
     def submap_ending(self, atlas: Atlas, mapper: Mapper) -> Array | None:
         """The active submap is about to end.
@@ -57,7 +57,7 @@ class LoopClosing(Protocol):
         Returns:
             The motion T_new_old [4, 4] of its newest keyframe; None if the keyframe did not move.
         """
-        ...
+        return None
 
     def submap_started(self, atlas: Atlas, ended: int, information: Array) -> None:
         """A submap has started at the newest keyframe of another submap.
@@ -66,7 +66,6 @@ class LoopClosing(Protocol):
             ended: number of the submap that was active before.
             information: [6, 6] information matrix of that keyframe, from the tracker.
         """
-        ...
 
     def submap_recovered(
         self, atlas: Atlas, ended: int, found: Relocalisation | None, reach: Reach | None = None
@@ -78,18 +77,17 @@ class LoopClosing(Protocol):
             found: the relocalisation of the frame; None if it failed.
             reach: where the camera may be in the world; None if that is unknown.
         """
-        ...
 
     def enterable(self, atlas: Atlas) -> list[int]:
         """Submaps of this run in which tracking may continue where one of them shows the view.
 
         Odometry and verified loops determine their poses relative to the active submap.
         """
-        ...
+        return []
 
     def origin(self, atlas: Atlas) -> int | None:
         """Number of the submap in which the active one started; None if that is not known."""
-        ...
+        return None
 
     def submap_entered(
         self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation
@@ -101,11 +99,9 @@ class LoopClosing(Protocol):
             T_ended_camera: [4, 4] pose of a frame in it.
             found: the same frame in the active submap.
         """
-        ...
 
     def finish(self, atlas: Atlas, mapper: Mapper) -> None:
         """The sequence has ended; the submaps are not refined yet."""
-        ...
 
     def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
         """Parts of the map: the ascending numbers of submaps whose relative poses are known.
@@ -116,88 +112,24 @@ class LoopClosing(Protocol):
         Returns:
             The parts in the order of their first submaps.
         """
-        ...
+        return [tuple(range(len(atlas)))]
 
     def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
         """Covariances [M, 6, 6] of frames (`frame_covariances`); None if they are unknown.
 
         Anchors are uncertain relative to the first submap of their part.
         """
-        ...
+        return None
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values for `restore`."""
-        ...
-
-    def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
-        """Restore an earlier `state`."""
-        ...
-
-
-class NoLoopClosing:
-    """Does not close loops and does not relocalise frames."""
-
-    loops: Sequence[PoseEdge] = ()
-    relocaliser: Relocaliser | None = None
-
-    def similar_keyframes(self, atlas: Atlas, view: Keyframe) -> list[Keyframe]:
-        """Nothing is known about similarity."""
-        return []
-
-    def map_loaded(self, atlas: Atlas) -> None:
-        """Do nothing."""
-
-    def defer(self) -> None:
-        """Do nothing."""
-
-    def keyframe_added(self, atlas: Atlas) -> None:
-        """Do nothing."""
-
-    def submap_ending(self, atlas: Atlas, mapper: Mapper) -> Array | None:
-        """Move nothing."""
-        return None
-
-    def submap_started(self, atlas: Atlas, ended: int, information: Array) -> None:
-        """Do nothing."""
-
-    def submap_recovered(
-        self, atlas: Atlas, ended: int, found: Relocalisation | None, reach: Reach | None = None
-    ) -> None:
-        """Do nothing."""
-
-    def enterable(self, atlas: Atlas) -> list[int]:
-        """No relative pose was verified."""
-        return []
-
-    def origin(self, atlas: Atlas) -> int | None:
-        """Not recorded."""
-        return None
-
-    def submap_entered(
-        self, atlas: Atlas, ended: int, T_ended_camera: Array, found: Relocalisation
-    ) -> None:
-        """Do nothing."""
-
-    def finish(self, atlas: Atlas, mapper: Mapper) -> None:
-        """Do nothing."""
-
-    def parts(self, atlas: Atlas) -> list[tuple[int, ...]]:
-        """All submaps are one part: without relocalisation, none starts at an unknown pose."""
-        return [tuple(range(len(atlas)))]
-
-    def covariances(self, atlas: Atlas, path: Sequence[PathPose]) -> Array | None:
-        """Covariances are unknown."""
-        return None
-
-    def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
-        """There is no state."""
         return {}, {}
 
     def restore(self, arrays: dict[str, NDArray], values: dict[str, Any]) -> None:
-        """There is no state."""
+        """Restore an earlier `state`."""
 
 
-class GivenParts(NoLoopClosing):
+class GivenParts(LoopClosing):
     """Groups submaps by the part of the trajectory that their first keyframe belongs to.
 
     Loops have been closed when the trajectory was estimated.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from toolkit.base.options import Fraction, NonNegativeInt, PositiveFloat, Range
+from toolkit.base.options import Fraction, NonNegativeInt, Range
 from toolkit.base.pose_graph.options import PoseGraphOptions
 from toolkit.semantics.features.options import FeatureOptions
 from toolkit.slam.loops.options import (
@@ -14,20 +14,6 @@ from toolkit.slam.loops.options import (
     ObjectOptions,
     RelocalisationOptions,
 )
-
-
-@dataclass(frozen=True)
-class PairOptions:
-    """Requirements that the images of two keyframes must meet to become a loop."""
-
-    # The directions of correct pairs of real and synthetic sequences differ by 0.1 to 1.2 cm.
-    max_disagreement_m: PositiveFloat = 0.02
-    """Maximum difference of the two directions of alignment, in metres."""
-    min_visible: Fraction = 0.35
-    """Minimum fraction of a keyframe's image that the other one explains, in the better of the two
-    directions."""
-    max_sigma_m: PositiveFloat = 0.02
-    """Maximum standard deviation of the relative position, in metres."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +26,6 @@ class ClosingOptions:
     """Close loops between submaps by registration."""
     min_visible: Fraction = 0.4
     """Minimum overlap of two submaps' views for registering them at the end of a run."""
-    max_image_difference_m: PositiveFloat = 0.05
-    """Maximum distance of a registration's result from the pose of a verified pair of keyframes,
-    in metres."""
-    min_shared: Fraction = 0.3
-    """Minimum fraction of a candidate keyframe's view that the other keyframe sees after the
-    registration of their submaps."""
     # Of many small submaps in a room, every pair overlaps, and registering all of them would take
     # longer than the recording.
     max_partners: NonNegativeInt = 8
@@ -75,7 +55,6 @@ class LoopClosureOptions:
     candidates: CandidateOptions = CandidateOptions()
     landmarks: LandmarkOptions = LandmarkOptions()
     objects: ObjectOptions = ObjectOptions()
-    pairs: PairOptions = PairOptions()
     closing: ClosingOptions = ClosingOptions()
     relocalisation: RelocalisationOptions = RelocalisationOptions()
     pose_graph: PoseGraphOptions = PoseGraphOptions()

@@ -29,6 +29,11 @@ from toolkit.slam.loops.registration.result import Registrar, RegistrationResult
 from toolkit.slam.loops.verification import VerificationLimits, rejection_reason
 from toolkit.slam.submaps.atlas import Atlas
 
+# Minimum fraction of a candidate keyframe's view that the other keyframe sees after the
+# registration of their submaps.
+_MIN_SHARED = 0.3
+# Maximum distance of a registration's result from the pose of a verified pair of keyframes.
+_MAX_IMAGE_DIFFERENCE_M = 0.05
 # Neighbours overlap at least in the views around their boundary.
 _NEIGHBOUR_VERIFICATION = VerificationLimits(min_overlap=0.15)
 # After a change of light or colour, only surfaces and classes are compared, and more strictly.
@@ -118,7 +123,7 @@ class SubmapLoops:
             contradiction = self._contradiction(odometry, registration.edge)
             if images is not None and not contradiction:
                 T = registration.edge.T_first_second
-                contradiction = images.contradiction(T, self._options.max_image_difference_m)
+                contradiction = images.contradiction(T, _MAX_IMAGE_DIFFERENCE_M)
             rejection = rejection_reason(registration.result, self._parts.verification)
             if self._accept(registration, rejection or contradiction):
                 return registration.edge
@@ -315,7 +320,7 @@ class SubmapLoops:
             points = se3.transform_points(edge.T_first_second, query.points_in_map())
             shared = float(match.reaches(points).mean()) if len(points) else 0.0
             T_first_query = edge.T_first_second @ query.T_map_camera
-            enough = shared >= self._options.min_shared or self._parts.verification is None
+            enough = shared >= _MIN_SHARED or self._parts.verification is None
             reason = "" if enough else f"only {100 * shared:.0f} % of the view is shared"
             values = {
                 "first": edge.first,

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 # Minimum number of keyframe pairs that agree.
 _MIN_AGREEING = 2
+# Number of agreeing keyframe pairs after which no more are measured.
+_ENOUGH = 4
 # Maximum number of keyframe pairs whose feature matches are pooled if no pair determines its offset
 # alone. Where submaps overlap little, the most similar keyframes often show different places.
 _POOLED_PAIRS = 40
@@ -86,7 +88,7 @@ def register_coarse(
     Args:
         start: an additional initial value of T_target_source [4, 4].
     """
-    pairs = descriptor_pairs(target, source, options.pairs)
+    pairs = descriptor_pairs(target, source, options.views)
     if not pairs:
         return CoarseRegistration(failed("coarse", "no keyframe has a descriptor", start), [])
     usable: list[tuple[KeyframePair, Offset]] = []
@@ -97,9 +99,9 @@ def register_coarse(
         if offset is None:
             continue
         usable.append((pair, offset))
-        if len(usable) >= options.enough and options.offsets == "measured":
+        if len(usable) >= _ENOUGH and options.offsets == "measured":
             average = _average(target, source, usable, options, start)
-            if average.inliers.sum() >= options.enough:
+            if average.inliers.sum() >= _ENOUGH:
                 break
     if average is None or len(average.inliers) < len(usable):
         average = _average(target, source, usable, options, start) if usable else None

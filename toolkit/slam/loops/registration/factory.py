@@ -1,19 +1,13 @@
-"""Build the registrar of an option, ours or a baseline."""
+"""Build the registrar of submaps."""
 
 from __future__ import annotations
 
 from toolkit.semantics.features.sources import ViewDescriber
-from toolkit.slam.loops.registration.clouds import CloudRegistration
 from toolkit.slam.loops.registration.fine import FineRegistration
 from toolkit.slam.loops.registration.first_order_fine import FirstOrderFineRegistration
 from toolkit.slam.loops.registration.options import RegistrationOptions
 from toolkit.slam.loops.registration.result import Registrar
-from toolkit.slam.loops.registration.sgr import (
-    CoarseOnly,
-    SecondOpinion,
-    SemanticGuidedRegistration,
-)
-from toolkit.slam.loops.registration.two_way import TwoWayRegistration
+from toolkit.slam.loops.registration.sgr import CoarseOnly, SemanticGuidedRegistration
 from toolkit.slam.loops.registration.views import ViewRenderer
 
 
@@ -31,11 +25,12 @@ def build_registrar(
         describer: computes the view descriptors of the feature term of the first-order optimiser;
             None disables the term.
     """
-    clouds = CloudRegistration(renderer=renderer, seed=seed)
-    if options.kind == "clouds":
-        return clouds
-    registrar = _view_registrar(options, seed, renderer, describer)
-    return SecondOpinion(registrar, clouds) if options.second_opinion else registrar
+    fine = build_fine(options, renderer, describer)
+    if options.kind == "fine":
+        return fine
+    if options.kind == "coarse":
+        return CoarseOnly(options, renderer, seed)
+    return SemanticGuidedRegistration(options, renderer, fine, seed)
 
 
 def build_fine(
@@ -54,16 +49,3 @@ def build_fine(
 def needs_describer(options: RegistrationOptions) -> bool:
     """Whether registration uses the feature term of G-6, which needs view descriptors."""
     return options.optimiser == "first-order" and options.feature > 0
-
-
-def _view_registrar(
-    options: RegistrationOptions, seed: int, renderer: ViewRenderer, describer: ViewDescriber | None
-) -> Registrar:
-    """Build a registrar that compares rendered views."""
-    fine = build_fine(options, renderer, describer)
-    if options.kind == "fine":
-        return fine
-    if options.kind == "coarse":
-        return CoarseOnly(options, renderer, seed)
-    refiner = TwoWayRegistration(fine) if options.kind == "two-way" else fine
-    return SemanticGuidedRegistration(options, renderer, refiner, seed)

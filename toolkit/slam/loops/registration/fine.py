@@ -165,11 +165,10 @@ class FineRegistration:
             window = _NEAR_WINDOW_PIXELS
             if far:
                 window = max(window, round(_FAR_WINDOW * level.camera.width))
-            if self.options.semantic_gate:
-                mask = mismatched_classes(source.view.class_ids, target.view.class_ids, window)
-                if mask is not None:
-                    depth_m = level.depth_m.masked_fill(torch.from_numpy(mask), 0.0)
-                    level = replace(level, depth_m=depth_m)
+            mask = mismatched_classes(source.view.class_ids, target.view.class_ids, window)
+            if mask is not None:
+                depth_m = level.depth_m.masked_fill(torch.from_numpy(mask), 0.0)
+                level = replace(level, depth_m=depth_m)
             frame = pyramid(level, DENSE.levels)
             T_model_target = se3.inverse(target.T_target_view)
             pairs.append(Pair(target.model, frame, T_model_target, source.T_source_camera))

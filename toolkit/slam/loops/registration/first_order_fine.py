@@ -212,9 +212,9 @@ class _Objective:
         if int(mask.sum()) < _MIN_PIXELS:
             return None
         loss = (target.colour - source.colour)[mask].abs().mean()
-        if options.semantic > 0 and target.features.shape[-1] > 0:
-            error = (target.features - source.features)[mask].abs().mean()
-            loss = loss + options.semantic * error
+        if target.features.shape[-1] > 0:
+            # G-IV.A.3: the weight of the semantic term, lambda_sem, is 1.
+            loss = loss + (target.features - source.features)[mask].abs().mean()
         if self._view_features is not None:
             # Outside the mask, use the source's image for both, so that they do not differ.
             images = self._view_features.images(target)

@@ -8,18 +8,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.base.geometry import se3
 from toolkit.slam.loops.registration.coarse import CoarseRegistration, register_coarse
 from toolkit.slam.loops.registration.fine import FineRegistration
 from toolkit.slam.loops.registration.options import RegistrationOptions
 from toolkit.slam.loops.registration.quality import check_alignment
-from toolkit.slam.loops.registration.result import Registrar, RegistrationResult
+from toolkit.slam.loops.registration.result import RegistrationResult
 from toolkit.slam.loops.registration.views import ViewRenderer, views_of_overlap
 from toolkit.slam.submaps.submap import Submap
 
 Array = NDArray[np.float64]
-# Maximum difference of two poses; well above the errors of correct registrations.
-_MAX_DISTANCE_M, _MAX_ANGLE_RAD = 0.1, 0.07
 
 
 class Refiner(Protocol):
@@ -131,32 +128,3 @@ class CoarseOnly:
             class_agreement=check.class_agreement,
             renders=self.renderer.renders - before,
         )
-
-
-class SecondOpinion:
-    """Rejects registrations that a second registrar, without an initial pose, contradicts.
-
-    If the second registrar does not converge, the result of the first one is returned.
-    """
-
-    def __init__(self, first: Registrar, second: Registrar) -> None:
-        self._first, self._second = first, second
-
-    def register(
-        self, target: Submap, source: Submap, T_target_source: Array | None = None
-    ) -> RegistrationResult:
-        """See Registrar; the result has not converged if the two methods disagree."""
-        result = self._first.register(target, source, T_target_source)
-        if not result.converged:
-            return result
-        other = self._second.register(target, source)
-        renders = result.renders + other.renders
-        if not other.converged:
-            return replace(result, renders=renders)
-        T = se3.inverse(result.T_target_source) @ other.T_target_source
-        distance_m = float(np.linalg.norm(T[:3, 3]))
-        angle_rad = float(se3.rotation_angle_rad(T[:3, :3]))
-        if distance_m <= _MAX_DISTANCE_M and angle_rad <= _MAX_ANGLE_RAD:
-            return replace(result, renders=renders)
-        reason = f"{other.method} differs by {100 * distance_m:.0f} cm and {angle_rad:.2f} rad"
-        return replace(result, converged=False, renders=renders, reason=reason)

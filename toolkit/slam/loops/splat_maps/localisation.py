@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from toolkit.base.frame import Frame
 from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.features.keypoints import votes_for
-from toolkit.slam.loops.options import RelocalisationOptions
 from toolkit.slam.loops.relocalisation import is_found
 from toolkit.slam.tracking.health import has_depth
 from toolkit.slam.tracking.tracker import LocatingTracker
@@ -94,7 +93,6 @@ class SplatMapLocaliser:
         views: virtual views of it.
         render: renders another view from a pose T_map_camera [4, 4]; None where it shows little.
         tracker: aligns frames to the map.
-        options: what a pose must fulfil.
     """
 
     def __init__(
@@ -103,10 +101,9 @@ class SplatMapLocaliser:
         views: Sequence[Keyframe],
         render: Callable[[Array], Keyframe | None],
         tracker: LocatingTracker,
-        options: RelocalisationOptions,
     ) -> None:
         self._cloud, self._views, self._render = cloud, list(views), render
-        self._tracker, self._options = tracker, options
+        self._tracker = tracker
         self._keypoints = KeypointCache(len(views) + 2 * _ENOUGH)
 
     def located(self, frames: Iterable[Frame]) -> list[LocatedFrame]:
@@ -173,7 +170,7 @@ class SplatMapLocaliser:
         metric, T = self._cloud.scaled(1.0 / guess.scale), guess.T_map_camera
         T[:3, 3] /= guess.scale
         result = self._tracker.locate(frame, metric, T, search=False)
-        if not is_found(result, self._options):
+        if not is_found(result):
             return None
         found = result.T_map_camera.copy()
         found[:3, 3] *= guess.scale

@@ -15,7 +15,6 @@ from toolkit.base.geometry.camera import Camera
 from toolkit.base.geometry.image_sides import mean_up
 from toolkit.base.keyframe import Keyframe
 from toolkit.semantics.features.sources import ViewDescriber
-from toolkit.slam.loops.options import RelocalisationOptions
 from toolkit.slam.loops.splat_maps.localisation import LocatedFrame, SplatMapLocaliser
 from toolkit.slam.loops.splat_maps.viewpoints import extent, viewpoints
 from toolkit.slam.loops.splat_maps.views import view_camera, virtual_keyframe
@@ -44,13 +43,11 @@ class MapParts:
         backend: renders views of the map.
         tracker: aligns frames to the map.
         describer: computes the descriptors of keyframes, of colour images.
-        options: what a pose in the map must fulfil.
     """
 
     backend: Backend
     tracker: LocatingTracker
     describer: ViewDescriber
-    options: RelocalisationOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +93,7 @@ def metric_map(
     def render(T_map_camera: Array) -> Keyframe | None:
         return virtual_keyframe(parts.backend, roomy, small, T_map_camera, len(views))
 
-    localiser = SplatMapLocaliser(roomy, views, render, parts.tracker, parts.options)
+    localiser = SplatMapLocaliser(roomy, views, render, parts.tracker)
     located = localiser.located(frames)
     if not located:
         return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.runs.evaluation.instances import instance_scores
+from benchmarks.instance_quality import instance_scores
 
 TRUTH = np.repeat([1, 2, 3], 100)
 
