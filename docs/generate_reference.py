@@ -1,15 +1,18 @@
-"""MkDocs hook: generate the reference of all options and of the public Python API.
+"""MkDocs hook: generate the reference of options and Python API, and the page of rooms.
 
-The options come from the declarations of the jobs' arguments, the API from docstrings. The pages
-exist only in the built site: `make docs`.
+The options come from the declarations of the jobs' arguments, the API and the rooms from
+docstrings. The pages exist only in the built site: `make docs`.
 """
 
 from __future__ import annotations
 
+import ast
+import configparser
 import importlib
 import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import toolkit
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
 
 OPTIONS_PAGE = "reference/options.md"
 API_PAGE = "reference/python-api.md"
+ROOMS_PAGE = "contributing/where-things-are.md"
+_PACKAGE = Path(toolkit.__file__).parent
 # Classes and functions of the API page, beyond the names that `import toolkit` offers.
 API = {
     "Run SLAM": (
@@ -82,8 +87,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages to the site."""
     from mkdocs.structure.files import File
 
-    for name, content in ((OPTIONS_PAGE, options_page()), (API_PAGE, api_page())):
-        files.append(File.generated(config, name, content=content))
+    for name, page in GENERATED.items():
+        files.append(File.generated(config, name, content=page()))
     return files
 
 
@@ -207,3 +212,58 @@ def markdown_docstring(text: str) -> list[str]:
             in_section = in_section and not line.strip()
             lines.append(line)
     return lines
+
+
+def rooms_page() -> str:
+    """The rooms from high to low, with their packages and modules in their own words."""
+    lines = [
+        "# Where things are",
+        "",
+        "This page is generated from docstrings. `toolkit/` has eleven packages, the rooms, from "
+        "high to low: a room imports only those below it. [How it works]"
+        "(../concepts/overview.md#structure-of-the-code) has the calls of one frame, and "
+        "`CONTRIBUTING.md` a table of where a change goes.",
+    ]
+    for room in rooms():
+        lines += ["", f"## {room}", "", *_described(_PACKAGE / room), *_modules(_PACKAGE / room)]
+        for package in sorted(_packages(_PACKAGE / room)):
+            name = package.relative_to(_PACKAGE).as_posix()
+            lines += ["", f"### {name}", "", *_described(package), *_modules(package)]
+    return "\n".join(lines) + "\n"
+
+
+def rooms() -> list[str]:
+    """Names of the rooms, in the order that `import-linter` checks."""
+    settings = configparser.ConfigParser(interpolation=None)
+    settings.read(_PACKAGE.parent / "setup.cfg", encoding="utf-8")
+    return re.findall(r"\w+", settings["importlinter:contract:layers"]["layers"])
+
+
+def _packages(folder: Path) -> Iterator[Path]:
+    """The packages inside a package, at all depths."""
+    return (path.parent for path in folder.rglob("__init__.py") if path.parent != folder)
+
+
+def _described(package: Path) -> list[str]:
+    """The docstring of a package; what it knows, takes, gives and offers becomes a list."""
+    text = _docstring(package / "__init__.py")
+    return re.sub(r"^(Knows|In|In and out|For others):", r"- **\1**:", text, flags=re.M).split("\n")
+
+
+def _modules(package: Path) -> list[str]:
+    """A table of the modules of a package."""
+    modules = sorted(path for path in package.glob("*.py") if path.stem != "__init__")
+    rows = [f"| `{module.stem}` | {_first_line(module)} |" for module in modules]
+    return ["", "| module | content |", "|---|---|", *rows] if rows else []
+
+
+def _first_line(module: Path) -> str:
+    return _docstring(module).partition("\n")[0].replace("|", "\\|")
+
+
+def _docstring(file: Path) -> str:
+    return ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+
+
+# The pages, and what writes each.
+GENERATED = {OPTIONS_PAGE: options_page, API_PAGE: api_page, ROOMS_PAGE: rooms_page}

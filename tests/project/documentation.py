@@ -16,6 +16,8 @@ _FENCE = re.compile(r"^( *)```(\w*)\s*$")
 _LONE_LINK = re.compile(r"^\s*(?:- )?!?\[[^\]]*\]\([^)]*\)\S?$")
 # Names that the test must define before it executes the block that follows.
 _GIVEN = re.compile(r"^<!-- given: ([\w, ]+) -->$")
+# The file of the checkout that the block that follows creates or, as a diff, changes.
+_FILE = re.compile(r"^<!-- file: (\S+) -->$")
 # Elements of a synopsis, such as "..." and "[--option]".
 _PLACEHOLDER = re.compile(r"^(\.\.\.|\[.*\])$")
 
@@ -29,12 +31,14 @@ class Block:
         language: of the fence; empty for an indented block.
         text: the code.
         given: names that it expects to be defined.
+        file: that it creates or changes; empty for none.
     """
 
     place: str
     language: str
     text: str
     given: tuple[str, ...] = ()
+    file: str = ""
 
 
 @dataclass(frozen=True)
@@ -55,15 +59,15 @@ def blocks(page: Path) -> Iterator[Block]:
     lines = page.read_text(encoding="utf-8").splitlines()
     name = page.relative_to(ROOT)
     given: tuple[str, ...] = ()
-    number = 0
+    file, number = "", 0
     while number < len(lines):
         line = lines[number]
-        fence, hint = _FENCE.match(line), _GIVEN.match(line)
+        fence, hint, place = _FENCE.match(line), _GIVEN.match(line), _FILE.match(line)
         start = number + 1
         if fence:
             end = next(i for i in range(start, len(lines)) if _FENCE.match(lines[i]))
             text = "\n".join(text.removeprefix(fence[1]) for text in lines[start:end])
-            yield Block(f"{name}:{start + 1}", fence[2], text, given)
+            yield Block(f"{name}:{start + 1}", fence[2], text, given, file)
             number = end
         elif line.startswith("    ") and (number == 0 or not lines[number - 1].strip()):
             end = number
@@ -71,11 +75,18 @@ def blocks(page: Path) -> Iterator[Block]:
                 end += 1
             yield Block(f"{name}:{start}", "", "\n".join(t[4:] for t in lines[number:end]))
             number = end - 1
-        if fence or (line.strip() and not hint):
-            given = ()
+        if fence or (line.strip() and not hint and not place):
+            given, file = (), ""
         if hint:
             given = tuple(word.strip() for word in hint[1].split(","))
+        if place:
+            file = place[1]
         number += 1
+
+
+def changes(page: Path) -> list[Block]:
+    """The blocks of a page that create or change a file."""
+    return [block for block in blocks(page) if block.file]
 
 
 def commands(page: Path) -> Iterator[Command]:

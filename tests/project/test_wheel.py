@@ -1,14 +1,26 @@
-"""The wheel: installed outside the checkout, it has all files that programs read."""
+"""The wheel: installed without checkout and compiler, it has kernels and all files of programs."""
 
+import email
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
 import zipfile
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
+
+from toolkit.base import native
+from toolkit.base.version import __version__
+
+NATIVE = "toolkit/base/native/variants"
+VARIANTS = [f"kernels.{name}{EXTENSION_SUFFIXES[0]}" for name in native.built_instruction_sets()]
+# A folder without programs, and a compiler that does not exist.
+WITHOUT_COMPILER = {"PATH": os.devnull, "CC": "no-such-compiler", "CXX": "no-such-compiler"}
 
 
 def call(*words: str | Path, **keywords) -> str:
@@ -27,17 +39,38 @@ def tracked_files(checkout: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def wheel(checkout, tmp_path_factory) -> Path:
-    """A wheel of the tracked files as they are here, without native kernels."""
+    """A wheel of the tracked files as they are here, with the kernels that are compiled here.
+
+    It is built as by `make wheel`, except that nothing is compiled.
+    """
     folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
     for name in tracked_files(checkout):
         if (checkout / name).is_file():  # not those deleted since the last commit
-            (folder / "source" / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(checkout / name, folder / "source" / name)
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(checkout / name, source / name)
+    if VARIANTS:
+        # Last, since a variant that is older than its sources would be compiled again.
+        shutil.copytree(checkout / NATIVE, source / NATIVE, copy_function=shutil.copy)
+    native = {} if VARIANTS else {"SEMSPLAT_NATIVE": "0"}
     pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
-    environment = os.environ | {"SEMSPLAT_NATIVE": "0"}
-    call(*pip, "--wheel-dir", folder, folder / "source", env=environment)
+    environment = os.environ | native | WITHOUT_COMPILER
+    call(*pip, "--wheel-dir", folder, source, env=environment)
     (path,) = folder.glob("*.whl")
     return path
+
+
+@pytest.fixture(scope="module")
+def repaired(checkout, wheel) -> Path:
+    """The wheel with the libraries of its kernels; the wheel itself where nothing can repair it."""
+    tools = checkout / ".stamps/tools/bin"
+    if not VARIANTS or not (tools / "auditwheel").exists():
+        return wheel
+    path = os.environ | {"PATH": f"{tools}:{os.environ['PATH']}"}
+    call(tools / "auditwheel", "repair", "--wheel-dir", wheel.parent / "dist", wheel, env=path)
+    (found,) = (wheel.parent / "dist").glob("*.whl")
+    assert "-manylinux_" in found.name
+    return found
 
 
 def test_the_wheel_contains_every_file_but_the_sources_of_the_kernels(checkout, wheel):
@@ -46,24 +79,55 @@ def test_the_wheel_contains_every_file_but_the_sources_of_the_kernels(checkout, 
         for name in tracked_files(checkout)
         if name.startswith("toolkit/") and not name.startswith("toolkit/base/native/src/")
     }
+    expected |= {f"{NATIVE}/{variant}" for variant in VARIANTS}
     assert expected <= set(zipfile.ZipFile(wheel).namelist())
 
 
-def test_an_installed_program_writes_a_page_outside_the_checkout(checkout, wheel, tmp_path):
-    environment = tmp_path / "environment"
+def test_the_metadata_state_what_the_wheel_is_for(checkout, wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [n for n in archive.namelist() if n.endswith(".dist-info/METADATA")]
+        metadata = email.message_from_bytes(archive.read(name))
+    assert metadata["Name"] == "semsplat" and metadata["Version"] == __version__
+    assert metadata["Description-Content-Type"] == "text/markdown"
+    limits = SpecifierSet(metadata["Requires-Python"])
+    minors = [minor for minor in range(20) if f"3.{minor}" in limits]
+    stated = [c for c in metadata.get_all("Classifier") if re.search(r":: 3\.\d+$", c)]
+    assert stated == [f"Programming Language :: Python :: 3.{minor}" for minor in minors]
+    assert "Home-page" not in metadata  # there is no public address
+    if VARIANTS:
+        assert sysconfig.get_config_var("py_version_nodot") in wheel.name.split("-")[2]
+
+
+@pytest.fixture(scope="module")
+def installed(repaired, tmp_path_factory) -> tuple[Path, dict[str, str]]:
+    """The folder of the programs of an empty environment with the wheel, and how to call them."""
+    folder = tmp_path_factory.mktemp("installed")
+    environment = folder / "environment"
     call(sys.executable, "-m", "venv", "--without-pip", environment)
     python = environment / "bin/python"
-    call(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", wheel)
+    pip = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps"]
+    # A checkout in PYTHONPATH would count as an installation.
+    call(*pip, repaired, env=os.environ | WITHOUT_COMPILER | {"PYTHONPATH": ""})
     # The libraries of this environment, but not its editable installation, which is in a .pth file.
     libraries = sysconfig.get_paths()["purelib"]
-    known = os.environ | {"PYTHONPATH": libraries, "OMP_NUM_THREADS": "1"}
-    where = call(python, "-c", "import toolkit; print(toolkit.__file__)", cwd=tmp_path, env=known)
+    known = os.environ | WITHOUT_COMPILER | {"PYTHONPATH": libraries, "OMP_NUM_THREADS": "1"}
+    where = call(python, "-c", "import toolkit; print(toolkit.__file__)", cwd=folder, env=known)
     assert where.startswith(str(environment))
-    # Compiling them again takes a minute, and running without them too.
-    kernels = Path("base/native/variants")
-    if (checkout / "toolkit" / kernels).is_dir():
-        shutil.copytree(checkout / "toolkit" / kernels, Path(where).parent / kernels)
-    program, room = environment / "bin/semsplat", ["--image-size", "64", "48", "--frames", "3"]
+    return environment / "bin", known
+
+
+def test_the_doctor_finds_the_kernels_of_the_wheel(installed, tmp_path):
+    if not VARIANTS:
+        pytest.skip("the native kernels are not built")
+    programs, known = installed
+    report = call(programs / "semsplat", "doctor", cwd=tmp_path, env=known)
+    (line,) = [line for line in report.splitlines() if line.startswith("native kernels ")]
+    assert all(variant.split(".")[1] in line for variant in VARIANTS), line
+
+
+def test_an_installed_program_writes_a_page_outside_the_checkout(installed, tmp_path):
+    programs, known = installed
+    program, room = programs / "semsplat", ["--image-size", "64", "48", "--frames", "3"]
     call(program, "make-room", "--out", "room", *room, cwd=tmp_path, env=known)
     source = ["--dataset.kind", "synthetic", "--dataset.path", "room"]
     call(program, "run", *source, "--out", "run", cwd=tmp_path, env=known)
