@@ -13,12 +13,12 @@ import sys
 import textwrap
 from pathlib import Path
 
-from benchmarks import sequences
-from benchmarks.compare_open3d import TITLES
-from benchmarks.paper_plans import REAL_FRAMES
-from benchmarks.repository import ROOT
-from benchmarks.results_file import RESULTS, Results, read_results
-from benchmarks.tables import MISSING, Table
+from benchmarks.accuracy import sequences
+from benchmarks.accuracy.compare_open3d import TITLES
+from benchmarks.papers.plans import REAL_FRAMES
+from benchmarks.shared.repository import ROOT
+from benchmarks.shared.results_file import RESULTS, Results, read_results
+from benchmarks.shared.tables import MISSING, Table
 
 README = ROOT / "README.md"
 BEGIN, END = "<!-- figures -->", "<!-- /figures -->"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import compare_open3d as compare
-from benchmarks.machine import describe_machine
+from benchmarks.accuracy import compare_open3d as compare
+from benchmarks.shared.machine import describe_machine
 
 
 def test_the_table_shows_units_and_missing_figures() -> None:

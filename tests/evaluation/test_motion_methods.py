@@ -8,10 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import motion, recordings
-from benchmarks.motion_cases import CASES, CaseDataset
-from benchmarks.motion_methods import OpenCvOdometry, frame_to_frame, largest_first, semsplat
-from benchmarks.silent_errors import motion_metrics
+from benchmarks.accuracy import motion
+from benchmarks.accuracy.motion_cases import CASES, CaseDataset
+from benchmarks.accuracy.motion_methods import (
+    OpenCvOdometry,
+    frame_to_frame,
+    largest_first,
+    semsplat,
+)
+from benchmarks.accuracy.silent_errors import motion_metrics
+from benchmarks.shared import recordings
 from toolkit.base.geometry import se3
 from toolkit.datasets.registry import describe
 from toolkit.datasets.synthetic_rooms import tiny_room

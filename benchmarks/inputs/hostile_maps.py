@@ -1,0 +1,154 @@
+"""Small valid maps, runs, class lists, masks and settings, to be damaged."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+import yaml
+
+from benchmarks.inputs.hostile_recordings import HEIGHT, WIDTH, write_folder
+from toolkit.io.object_embeddings import ObjectEmbeddings, write_objects
+from toolkit.io.splats import export_splats
+from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.splatting.gaussians.cloud import GaussianCloud
+
+SPLATS = 40
+TREE = {"large": {"soft": ["bed", "sofa"], "hard": ["table"]}, "small": ["cup", "vase"]}
+CLASSES = ("bed", "sofa", "table", "cup", "vase")
+
+
+def splat_writer(name: str, spz_version: int | None = None) -> Callable[[Path], None]:
+    """Writes labelled splats in the format of a name."""
+
+    def write(folder: Path) -> None:
+        chance = np.random.default_rng(0)
+        cloud = GaussianCloud.from_values(
+            means=torch.tensor(chance.normal(size=(SPLATS, 3)), dtype=torch.float32),
+            radii_m=torch.full((SPLATS,), 0.05),
+            opacities=torch.full((SPLATS,), 0.5),
+            colours=torch.tensor(chance.random((SPLATS, 3)), dtype=torch.float32),
+        )
+        extra = {
+            "label": chance.integers(0, 6, SPLATS).astype(np.int32),
+            "label_l0": chance.integers(0, 2, SPLATS).astype(np.int32),
+            "confidence": chance.random(SPLATS).astype(np.float32),
+        }
+        version = {} if spz_version is None else {"spz_version": spz_version}
+        taxonomy = Taxonomy(TREE, classes=CLASSES).to_json()
+        export_splats(folder / name, cloud, extra, taxonomy=taxonomy, **version)  # type: ignore
+
+    return write
+
+
+def write_unpacked_sog(folder: Path) -> None:
+    """A SOG that is not bundled."""
+    import zipfile
+
+    splat_writer("map.sog")(folder)
+    with zipfile.ZipFile(folder / "map.sog") as bundle:
+        bundle.extractall(folder)
+    for file in ("map.sog", "map.sog.labels.npz"):
+        (folder / file).unlink()
+
+
+def write_ksplat(folder: Path) -> None:
+    """A `.ksplat` without quantisation, of one section."""
+    rows = np.random.default_rng(0).normal(size=(SPLATS, 10)).astype("<f4")
+    content = b"".join(row.tobytes() + b"\x80\x80\x80\xff" for row in rows)
+    numbers = (1, 1, SPLATS, SPLATS, 0)
+    header = struct.pack("<BBxxIIIIHxx12xff", 0, 1, *numbers, -1.0, 1.0).ljust(4096, b"\0")
+    counts = (SPLATS, SPLATS, 0, 0, 0.0, 0, 0, len(content), 0, 0, 0)
+    section = struct.pack("<IIIIfHxxIIIIH", *counts).ljust(1024, b"\0")
+    (folder / "map.ksplat").write_bytes(header + section + content)
+
+
+def write_run(folder: Path) -> None:
+    """A finished run with classes and objects, over its recording."""
+    _run(folder, ("--instances.kind", "geometric"))
+
+
+def write_killed_run(folder: Path) -> None:
+    """A run that still has its checkpoints."""
+    from toolkit.runs.session import Session
+
+    Session.close_results = lambda _: None  # type: ignore[method-assign, assignment]
+    _run(folder, ())
+
+
+def _run(folder: Path, words: tuple[str, ...]) -> None:
+    from toolkit.tools.cli.main import main
+
+    write_folder(folder / "data")
+    where = os.fspath(folder / "data"), os.fspath(folder / "run")
+    given = ("--dataset.kind", "folder", "--dataset.path", where[0], "--out", where[1])
+    short = ("--mapping.iterations", "2", "--mapping.first-iterations", "2")
+    assert main(["run", *given, "--poses", "given", *short, *words]) == 0
+
+
+def write_class_lists(folder: Path) -> None:
+    """Names of classes with ids and as lines, and trees over them."""
+    classes = {str(k): name for k, name in enumerate(CLASSES, start=1)}
+    colours = {str(k): [k, 2 * k, 3 * k] for k in range(1, 6)}
+    content = {"void": 0, "classes": classes, "colours": colours}
+    (folder / "classes.json").write_text(json.dumps(content))
+    (folder / "names.txt").write_text("\n".join(CLASSES))
+    taxonomy = Taxonomy(TREE, classes=CLASSES)
+    taxonomy.save(folder / "tree.yaml")
+    taxonomy.save(folder / "tree.json")
+
+
+def write_shapes(folder: Path) -> None:
+    """Tables of the shapes of classes."""
+    rows = {name: [float(k), k / 2.0] for k, name in enumerate(CLASSES)}
+    (folder / "shapes.json").write_text(json.dumps(rows))
+    lines = [f"{name},{a},{b}" for name, (a, b) in rows.items()]
+    (folder / "shapes.csv").write_text("class,a,b\n" + "\n".join(lines))
+
+
+def write_masks(folder: Path) -> None:
+    """Images of ids with columns beside them."""
+    ids = np.repeat(np.arange(3, dtype=np.uint16), HEIGHT * WIDTH // 3).reshape(HEIGHT, WIDTH)
+    cv2.imwrite(str(folder / "000000.png"), ids)
+    embeddings = np.eye(2, 4, dtype=np.float32)
+    columns = {"ids": [1, 2], "classes": ["bed", ""], "scores": [0.5, 1.0]}
+    np.savez(folder / "000000.npz", embeddings=embeddings, model="m", **columns)  # type: ignore
+
+
+def write_coco(folder: Path) -> None:
+    """COCO annotations: polygons, run lengths, and packed run lengths."""
+    size = [HEIGHT, WIDTH]
+    shapes = [
+        [[1, 1, 9, 1, 9, 9]],
+        {"size": size, "counts": [100, 50, HEIGHT * WIDTH - 150]},
+        {"size": size, "counts": "T3b1Zc0"},
+    ]
+    image = {"id": 1, "file_name": "000000.png", "height": HEIGHT, "width": WIDTH}
+    annotations = [
+        {"image_id": 1, "category_id": 1, "segmentation": shape, "score": 0.9} for shape in shapes
+    ]
+    content = {"images": [image], "categories": [{"id": 1, "name": "bed"}]}
+    (folder / "masks.json").write_text(json.dumps(content | {"annotations": annotations}))
+
+
+def write_embeddings(folder: Path) -> None:
+    """Embeddings of objects."""
+    numbers = np.arange(1, 4, dtype=np.int32)
+    vectors = np.eye(3, 8, dtype=np.float32)
+    objects = ObjectEmbeddings(numbers, numbers, vectors, np.ones(3, np.float32), "m")
+    write_objects(folder / "objects.npz", objects)
+
+
+def write_settings(folder: Path) -> None:
+    """Settings of runs, and a plan of many."""
+    settings = {"seed": 3, "mapping": {"iterations": 5}, "dataset": {"kind": "folder"}}
+    (folder / "settings.yaml").write_text(yaml.safe_dump(settings))
+    place = {"dataset": {"kind": "folder", "path": "data"}}
+    plan = {"sequences": {"a": place}, "settings": {"b": {"preset": "fast"}}, "seeds": [0]}
+    (folder / "plan.yaml").write_text(yaml.safe_dump(plan))
