@@ -40,12 +40,6 @@ ImageSize = tuple[int, int]
 _LIMIT_S = 300
 # Depth beyond is ignored: OpenCV's default.
 _DEPTH_MAX_M = 4.0
-# ORB-SLAM3 maps in a thread of its own while the next images are tracked.
-_ORB_INTERVAL_S = 0.15
-_ORB_TRACKED, _ORB_RECENTLY_LOST = "OK", "RECENTLY_LOST"
-# Points closer than this number of baselines are near ones, as in the examples of ORB-SLAM3; the
-# baseline is that of Kinect's projector.
-_ORB_CLOSE, _ORB_BASELINE_M = 40.0, 0.075
 
 
 @dataclass(frozen=True)
@@ -222,35 +216,19 @@ def orbslam3(dataset: CaseDataset) -> Estimate:
 
     The package returns the poses of only those frames whose keyframe is still in a map.
     """
-    import orbslam3 as package
-
-    from benchmarks.monocular.methods import grey, orb_settings
+    from benchmarks.monocular.methods import tracked_by_orbslam3
     from benchmarks.monocular.rivals import vocabulary
 
-    depth = f"Stereo.b: {_ORB_BASELINE_M}\nStereo.ThDepth: {_ORB_CLOSE}\nRGBD.DepthMapFactor: 1.0\n"
     with tempfile.TemporaryDirectory() as folder:
-        settings = Path(folder) / "orbslam3.yaml"
-        settings.write_text(orb_settings(dataset.camera) + depth, encoding="ascii")
-        system = package.System(str(vocabulary()), str(settings), package.Sensor.RGBD)
-        system.set_use_viewer(False)
-        system.initialize()
-        tracked: dict[float, tuple[int, int]] = {}
-        maps = 0
-        for index in range(len(dataset)):
-            begin, frame = time.perf_counter(), dataset[index]
-            system.process_image_rgbd(grey(frame), frame.depth_m, frame.timestamp_s)
-            state = str(system.get_tracking_state())
-            if state == _ORB_TRACKED:
-                tracked[frame.timestamp_s] = index, maps
-            elif state != _ORB_RECENTLY_LOST:
-                maps += 1
-            time.sleep(max(0.0, _ORB_INTERVAL_S - (time.perf_counter() - begin)))
-        found = {tracked[t][0]: T for t, T in system.get_trajectory_points() if t in tracked}
-        system.shutdown()
-    poses = {index: se3.inverse(np.asarray(found[index], np.float64)) for index in sorted(found)}
-    part = largest_first({index: number for index, number in tracked.values() if index in poses})
-    lost = set(range(len(dataset))) - {index for index, _ in tracked.values()}
-    return Estimate(dataset.timestamps_s, poses, part, frozenset(lost))
+        given = dataset, dataset.camera, Path(folder), vocabulary()
+        maps, found = tracked_by_orbslam3(*given, depth=True)
+    times_s = dataset.timestamps_s
+    map_of = {time_s: number for number, own in enumerate(maps) for time_s in own}
+    final = {t: se3.inverse(np.asarray(T, np.float64)) for t, T in found if t in map_of}
+    poses = {index: final[t] for index, t in enumerate(times_s) if t in final}
+    part = largest_first({index: map_of[times_s[index]] for index in poses})
+    lost = frozenset(index for index, t in enumerate(times_s) if t not in map_of)
+    return Estimate(times_s, poses, part, lost)
 
 
 def rival_estimate(rival: RivalName, source: CaseSource) -> Estimate:

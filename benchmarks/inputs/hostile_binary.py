@@ -52,7 +52,6 @@ def png_edits() -> dict[str, Edit]:
         "1x1 pixel": lambda *_: _black_png(1, 1),
         "64 bits": lambda content, _: _with_chunk(content, 8, b"\x40", 8),
         "palette without colours": lambda content, _: _with_chunk(content, 8, b"\x08\x03", 8),
-        "4 GB of text": lambda content, _: content[:33] + _text_bomb() + content[33:],
         "pixels of 1 GB": lambda content, _: content[:33] + _chunk(b"IDAT", _packed_zeros(1024)),
         "a chunk of 4 GB": lambda content, _: content[:33] + b"\xff\xff\xff\xffIDAT" + content[41:],
     }
@@ -76,7 +75,6 @@ def jpeg_edits() -> dict[str, Edit]:
         "0x0 pixels": sized(0, 0),
         "60x60000 pixels": sized(60, 60_000),
         "damaged EXIF": lambda content, _: content[:2] + app + content[2:],
-        "many scans": lambda content, _: _many_scans(content),
     }
 
 
@@ -249,11 +247,6 @@ def _black_png(width: int, height: int) -> bytes:
     return _PNG + _chunk(b"IHDR", head) + _chunk(b"IDAT", packed) + _chunk(b"IEND", b"")
 
 
-@cache
-def _text_bomb() -> bytes:
-    return _chunk(b"zTXt", b"Comment\0\0" + _packed_zeros(4095))
-
-
 def _chunk(kind: bytes, content: bytes) -> bytes:
     checksum = zlib.crc32(kind + content)
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)
@@ -266,11 +259,6 @@ def _with_chunk(content: bytes, start: int, values: bytes, offset: int) -> bytes
     body[offset : offset + len(values)] = values
     whole = _chunk(content[start + 4 : start + 8], bytes(body))
     return content[:start] + whole + content[start + 12 + length :]
-
-
-def _many_scans(content: bytes) -> bytes:
-    start, end = content.find(b"\xff\xda"), content.rfind(b"\xff\xd9")
-    return content[:start] + content[start:end] * 2000 + content[end:]
 
 
 def _npy(header: str, content: bytes) -> bytes:

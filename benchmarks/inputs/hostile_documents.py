@@ -19,19 +19,16 @@ _NESTING = 100_000
 # What one value of a document is replaced by.
 _VALUES: Mapping[str, Any] = {
     "null": None,
-    "true": True,
     "an empty list": [],
     "a text": "many",
     "a path": "../../../../dev/zero",
     "a sequence of the terminal": "\x1b]0;owned\x07\x1b[31mred\x1b[0m\x08",
     "a text of 1 MB": "a" * 2**20,
-    "zero": 0,
     "a negative number": -1,
     "2^63": 2**63,
     "1e308": 1e308,
     "NaN": float("nan"),
     "infinity": float("inf"),
-    "lists in each other": [[[[[1]]]]],
     "a list of a million": [0] * 10**6,
 }
 
@@ -94,8 +91,6 @@ def table_edits() -> dict[str, Edit]:
     edits |= {
         "100,000 times": lambda content, _: content * (100_000 // max(1, len(content) // 50)),
         "a line given twice": _with_last_line_twice,
-        "no line breaks": lambda content, _: content.replace(b"\n", b" "),
-        "an absolute path": _replaced(re.compile(r"\S+\.(png|jpg)"), "/dev/zero"),
         "a path above": _replaced(re.compile(r"\S+\.(png|jpg)"), "../../../dev/zero"),
         "NUL in a path": _replaced(re.compile(r"\S+\.(png|jpg)"), "a\0.png"),
     }
@@ -116,7 +111,6 @@ def ply_edits() -> dict[str, Edit]:
         "text": headed(r"binary_little_endian", "ascii"),
         "big-endian": headed(r"binary_little_endian", "binary_big_endian"),
         "a list": headed(r"property float x", "property list uint float x"),
-        "an unknown type": headed(r"property float x", "property float128 x"),
         "a property twice": headed(r"property float y", "property float x"),
         "100,000 properties": lambda content, _: content.replace(
             b"property float x", b"".join(b"property uchar a%d\n" % k for k in range(100_000))
@@ -139,12 +133,10 @@ def usd_edits() -> dict[str, Edit]:
 
     nested = "".join(f'def "a{k}" {{\n' for k in range(20_000)) + "}" * 20_000
     return {
-        "10^8 prims by references": added(_many_prims(8)),
         "10^30 prims by references": added(_many_prims(30)),
         "a reference to a device": added('def "a" (references = @/dev/zero@</b>) {}\n'),
         "a reference above": added('def "a" (references = @../../../etc/hosts.usda@</b>) {}\n'),
         "a reference to itself": added('def "a" (references = </a>) {}\n'),
-        "an asset outside": added('def "a" { asset b = @/etc/passwd@ }\n'),
         "a sublayer outside": lambda content, _: content.replace(
             b"(", b"(\n    subLayers = [@/etc/passwd.usda@]\n", 1
         ),

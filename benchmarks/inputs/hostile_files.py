@@ -92,7 +92,6 @@ def _import() -> None:
     from toolkit.base.geometry.open3d_bridge import open3d
 
     open3d()
-    importlib.import_module("toolkit.runs.maps.finished")
     for name in ("openai", "pxr.Usd", "rosbags.highlevel", "safetensors", "transformers"):
         with contextlib.suppress(ImportError):
             importlib.import_module(name)

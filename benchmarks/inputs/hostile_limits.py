@@ -57,7 +57,7 @@ class Limited:
     memory_mb: float
 
 
-def limited(call: Callable[[], None]) -> Limited:
+def limited(call: Callable[[], object]) -> Limited:
     """Call in a process of its own, with limits of time and memory."""
     reading, writing = os.pipe()
     process = os.fork()
@@ -100,7 +100,7 @@ def _ends(process: int, handle: int) -> bool:
     return False
 
 
-def _child(call: Callable[[], None], writing: int) -> None:
+def _child(call: Callable[[], object], writing: int) -> None:
     """Make the call, and say what it raised."""
     status = 70
     try:
@@ -115,7 +115,7 @@ def _child(call: Callable[[], None], writing: int) -> None:
         os._exit(status)
 
 
-def _said(call: Callable[[], None]) -> dict[str, str]:
+def _said(call: Callable[[], object]) -> dict[str, str]:
     limit = _PAGE * int(Path("/proc/self/statm").read_text("utf-8").split()[0]) + _ADDRESSES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

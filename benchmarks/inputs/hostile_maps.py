@@ -24,7 +24,7 @@ TREE = {"large": {"soft": ["bed", "sofa"], "hard": ["table"]}, "small": ["cup", 
 CLASSES = ("bed", "sofa", "table", "cup", "vase")
 
 
-def splat_writer(name: str, spz_version: int | None = None) -> Callable[[Path], None]:
+def splat_writer(name: str) -> Callable[[Path], None]:
     """Writes labelled splats in the format of a name."""
 
     def write(folder: Path) -> None:
@@ -40,22 +40,10 @@ def splat_writer(name: str, spz_version: int | None = None) -> Callable[[Path], 
             "label_l0": chance.integers(0, 2, SPLATS).astype(np.int32),
             "confidence": chance.random(SPLATS).astype(np.float32),
         }
-        version = {} if spz_version is None else {"spz_version": spz_version}
         taxonomy = Taxonomy(TREE, classes=CLASSES).to_json()
-        export_splats(folder / name, cloud, extra, taxonomy=taxonomy, **version)  # type: ignore
+        export_splats(folder / name, cloud, extra, taxonomy=taxonomy)
 
     return write
-
-
-def write_unpacked_sog(folder: Path) -> None:
-    """A SOG that is not bundled."""
-    import zipfile
-
-    splat_writer("map.sog")(folder)
-    with zipfile.ZipFile(folder / "map.sog") as bundle:
-        bundle.extractall(folder)
-    for file in ("map.sog", "map.sog.labels.npz"):
-        (folder / file).unlink()
 
 
 def write_ksplat(folder: Path) -> None:

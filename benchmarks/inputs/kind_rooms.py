@@ -135,18 +135,16 @@ def _as_blender(folder: Path) -> None:
     (folder / "trajectory.txt").unlink()
 
 
-def _every_third(folder: Path) -> None:
+def _every_second(folder: Path) -> None:
     """Images far apart, as photographs for a model of COLMAP."""
-    poses = []
+    places = range(0, FRAMES, 2)
     for place, file in enumerate(sorted((folder / "rgb").iterdir())):
-        if place % 2:
+        if place not in places:
             file.unlink()
-        else:
-            poses.append(place)
-    for number, place in enumerate(poses):
+    for number, place in enumerate(places):
         (folder / f"rgb/{place:06d}.png").rename(folder / f"rgb/x{number:06d}.png")
-    truth = tiny_room(FRAMES, WIDTH, HEIGHT)[1].T_world_camera[poses]
-    write_tum(folder / "trajectory.txt", Trajectory(np.arange(len(poses)) / _FPS, truth))
+    truth = tiny_room(FRAMES, WIDTH, HEIGHT)[1].T_world_camera[list(places)]
+    write_tum(folder / "trajectory.txt", Trajectory(np.arange(len(places)) / _FPS, truth))
 
 
 def _as_foreign_splats(folder: Path) -> None:
@@ -171,10 +169,8 @@ def _in_lines(every: int) -> RoomChange:
     return RoomChange(depth=lines)
 
 
-def _scaled(T: Array, factor: float) -> Array:
-    moved = np.array(T)
-    moved[:3, 3] *= factor
-    return moved
+def _moved(T: Array, position: Array) -> Array:
+    return se3.from_rotation_translation(T[:3, :3], position)
 
 
 def _shifted(depth: NDArray, _: int) -> NDArray:
@@ -187,16 +183,30 @@ def _with_far_value(depth: NDArray, index: int) -> NDArray:
     return np.where(holes.repeat(8, 0).repeat(8, 1), 65535, depth)
 
 
-def _with_camera(**factors: float) -> Callable[[Path], None]:
-    """States intrinsics that are a factor of the true ones."""
+def _with_camera(edit: Callable[[dict[str, Any]], dict[str, Any]]) -> Callable[[Path], None]:
+    """States other intrinsics: what `edit` makes of the true ones."""
 
     def change(folder: Path) -> None:
         file = folder / "intrinsics.yaml"
         values = yaml.safe_load(file.read_text())
-        values |= {name: factor * values[name] for name, factor in factors.items()}
-        file.write_text(yaml.safe_dump(values))
+        file.write_text(yaml.safe_dump(values | edit(values)))
 
     return change
+
+
+def _scaled_camera(**factors: float) -> Callable[[Path], None]:
+    return _with_camera(lambda values: {k: f * values[k] for k, f in factors.items()})
+
+
+def _turned_camera(quarters: int) -> Callable[[Path], None]:
+    def turn(values: dict[str, Any]) -> dict[str, Any]:
+        for _ in range(quarters):
+            turned = {"cx": values["cy"], "cy": values["width"] - 1 - values["cx"]}
+            pairs = (("fx", "fy"), ("fy", "fx"), ("width", "height"), ("height", "width"))
+            values = values | {new: values[old] for new, old in pairs} | turned
+        return values
+
+    return _with_camera(turn)
 
 
 def _bent(k1: float) -> RoomChange:
@@ -246,30 +256,6 @@ def _turned(quarters: int) -> RoomChange:
     )
 
 
-def _with_turned_camera(quarters: int) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        file = folder / "intrinsics.yaml"
-        values = yaml.safe_load(file.read_text())
-        for _ in range(quarters):
-            values |= {
-                "fx": values["fy"],
-                "fy": values["fx"],
-                "cx": values["cy"],
-                "cy": values["width"] - 1 - values["cx"],
-                "width": values["height"],
-                "height": values["width"],
-            }
-        file.write_text(yaml.safe_dump(values))
-
-    return change
-
-
-def _translated(T: Array) -> Array:
-    moved = np.array(T)
-    moved[:3, 3] += UTM_M
-    return moved
-
-
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _UNITY = np.diag([1.0, -1.0, 1.0, 1.0])
 _RUN = Kind.job
@@ -280,85 +266,61 @@ _PRIORS = (
 )
 _CHECK = ("check-data", "--kind", "folder", "--path", "FOLDER")
 
+_POSES = {
+    "OpenGL": ("stops, names the axes", lambda T: T @ OPENGL),
+    "from world to camera": ("stops, names the inverse", se3.inverse),
+    "left-handed": ("stops, names it", lambda T: _UNITY @ T @ _UNITY),
+    "in millimetres": ("stops, names the unit", lambda T: _moved(T, 1e3 * T[:3, 3])),
+    "in UTM": ("a good map", lambda T: _moved(T, T[:3, 3] + UTM_M)),
+}
+_SAME = RoomChange()
+_BLIND = RoomChange(has_depth=False)
+_LONG, _REFINED = _scaled_camera(fx=1.2, fy=1.2), (*_RUN, "--dataset.intrinsics", "refine")
+_TUM = ("run", "--dataset.kind", "tum", "--dataset.path", "FOLDER")
+_NERF = ("check-data", "--kind", "nerfstudio", "--path", "FOLDER")
+_BLACK = RoomChange(
+    rgb=lambda rgb, i: rgb * (i >= 4), depth=lambda depth, i: depth * np.uint16(i >= 4)
+)
+_UP = "a good map, names the side that is up"
 KINDS: Mapping[str, Kind] = {
     "as it is": Kind("a good map"),
     "65535 where nothing was measured": Kind(
         "the map of the rest", RoomChange(depth=_with_far_value)
     ),
-    "given poses of OpenGL": Kind(
-        "stops, names the axes", RoomChange(pose=lambda T: T @ OPENGL), job=_GIVEN
-    ),
-    "given poses from world to camera": Kind(
-        "stops, names the inverse", RoomChange(pose=se3.inverse), job=_GIVEN
-    ),
-    "given poses, left-handed": Kind(
-        "stops, names it", RoomChange(pose=lambda T: _UNITY @ T @ _UNITY), job=_GIVEN
-    ),
-    "given poses in millimetres": Kind(
-        "stops, names the unit", RoomChange(pose=lambda T: _scaled(T, 1e3)), job=_GIVEN
-    ),
-    "given poses in UTM": Kind("a good map", RoomChange(pose=_translated), job=_GIVEN),
+    **{
+        f"given poses {name}": Kind(right, RoomChange(pose=pose), job=_GIVEN)
+        for name, (right, pose) in _POSES.items()
+    },
     "colour shifted by (-8, +4) px": Kind("the run reports it", RoomChange(depth=_shifted)),
-    "focal length 20 % too long": Kind("names the right one", after=_with_camera(fx=1.2, fy=1.2)),
-    "focal length 20 % too long, refined": Kind(
-        "a good map",
-        after=_with_camera(fx=1.2, fy=1.2),
-        job=(*_RUN, "--dataset.intrinsics", "refine"),
-    ),
-    "principal point off by 12 px": Kind("names the right one", after=_with_camera(cx=1.15)),
+    "focal length 20 % too long": Kind("names the right one", _SAME, _LONG),
+    "focal length 20 % too long, refined": Kind("a good map", _SAME, _LONG, _REFINED),
+    "principal point off by 12 px": Kind("names the right one", _SAME, _scaled_camera(cx=1.15)),
     "distortion k1 = -0.2, not stated": Kind("names it", _bent(-0.2)),
-    "unit of depth off by 25 %": Kind(
-        "names the factor", RoomChange(depth=lambda depth, _: 1.25 * depth)
-    ),
-    "given poses jump by 10 cm": Kind("names the frame", after=_with_a_jump, job=_GIVEN),
-    "camera in portrait": Kind(
-        "a good map, names the side that is up", _turned(1), _with_turned_camera(1)
-    ),
-    "camera upside down": Kind(
-        "a good map, names the side that is up", _turned(2), _with_turned_camera(2)
-    ),
-    "times in nanoseconds": Kind("stops, names the unit", after=_with_times_in_nanoseconds),
+    "unit of depth off by 25 %": Kind("names the factor", RoomChange(depth=lambda d, _: 1.25 * d)),
+    "given poses jump by 10 cm": Kind("names the frame", _SAME, _with_a_jump, _GIVEN),
+    "camera in portrait": Kind(_UP, _turned(1), _turned_camera(1)),
+    "camera upside down": Kind(_UP, _turned(2), _turned_camera(2)),
+    "times in nanoseconds": Kind("stops, names the unit", _SAME, _with_times_in_nanoseconds),
     "a scene at 6 cm": Kind("a good map", RoomChange(scale=1 / 25)),
     "a scene at 90 m": Kind("a good map", RoomChange(scale=60.0)),
-    "TUM layout, own camera": Kind(
-        "a good map",
-        after=_as_tum_with_own_camera,
-        job=("run", "--dataset.kind", "tum", "--dataset.path", "FOLDER"),
-    ),
-    "transforms_train.json of Blender": Kind(
-        "read",
-        after=_as_blender,
-        job=("check-data", "--kind", "nerfstudio", "--path", "FOLDER"),
-    ),
-    "hidden files of macOS": Kind("read", after=_with_files_of_macos, job=_CHECK),
-    "byte order marks": Kind("read", after=_with_byte_order_marks, job=_CHECK),
-    "four black frames at the start": Kind(
-        "a good map of the rest",
-        RoomChange(
-            rgb=lambda rgb, i: rgb * (i >= 4), depth=lambda depth, i: depth * np.uint16(i >= 4)
-        ),
-    ),
+    "TUM layout, own camera": Kind("a good map", _SAME, _as_tum_with_own_camera, _TUM),
+    "transforms_train.json of Blender": Kind("read", _SAME, _as_blender, _NERF),
+    "hidden files of macOS": Kind("read", _SAME, _with_files_of_macos, _CHECK),
+    "byte order marks": Kind("read", _SAME, _with_byte_order_marks, _CHECK),
+    "four black frames at the start": Kind("a good map of the rest", _BLACK),
     "half of the depth missing at random": Kind("a good map", _missing_at_random(0.5)),
     "5 % of the depth": Kind("a good map", _missing_at_random(0.05)),
     "depth in every 8th row": Kind("a good map", _in_lines(8)),
     "given poses, no depth": Kind(
-        "a good map",
-        RoomChange(has_depth=False),
-        after=_every_third,
-        job=(*_GIVEN, "--depth", "none"),
+        "a good map", _BLIND, _every_second, (*_GIVEN, "--depth", "none")
     ),
     "inverse depth priors, declared as metric": Kind(
-        "names the kind", RoomChange(has_depth=False), _with_inverse_priors, (*_PRIORS, "metric")
+        "names the kind", _BLIND, _with_inverse_priors, (*_PRIORS, "metric")
     ),
     "inverse depth priors, declared as that": Kind(
-        "a good map",
-        RoomChange(has_depth=False),
-        _with_inverse_priors,
-        (*_PRIORS, "affine-inverse"),
+        "a good map", _BLIND, _with_inverse_priors, (*_PRIORS, "affine-inverse")
     ),
     "a splat file of another format": Kind(
-        "stops, names the formats",
-        after=_as_foreign_splats,
-        job=("render", "FOLDER/map.lcc"),
+        "stops, names the formats", _SAME, _as_foreign_splats, ("render", "FOLDER/map.lcc")
     ),
 }

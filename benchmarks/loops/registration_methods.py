@@ -35,6 +35,7 @@ class Methods:
     MAIN = (
         *("coarse, Z = I (G-5)", "coarse", "fine (start)", "SGR", "SGR (start)"),
         *("coarse, then two-way", "two-way (start)", "FPFH, RANSAC, ICP", "ICP (start)"),
+        *("SGR, first-order fine (G-6)", "SGR, first-order fine, no feature term"),
     )
 
     def __init__(self, pair: Pair, seed: int) -> None:

@@ -29,13 +29,11 @@ class Degradation:
         noise: standard deviation relative to the depth, independent between pixels.
         outliers: fraction of the pixels with any depth up to three times the median.
         bend: RMS of a smooth factor on the depth, which differs between frames.
-        affine: whether scale and shift differ between sets.
     """
 
-    noise: float = 0.2
-    outliers: float = 0.3
+    noise: float
+    outliers: float
     bend: float = 0.0
-    affine: bool = True
 
 
 class DegradedDepth:
@@ -61,14 +59,10 @@ class DegradedDepth:
 
     def truth(self, number: int) -> ScaleShift:
         """The correction of a set: depth = scale * value + shift, in metres."""
-        if number == 0 or not self._degradation.affine:
+        if number == 0:
             return ScaleShift(1.0)
         rng = np.random.default_rng((self._seed, 0, number))
         return ScaleShift(float(np.exp(rng.uniform(-0.7, 0.7))), float(rng.uniform(-0.4, 0.4)))
-
-    def truth_of(self, index: int) -> ScaleShift:
-        """The correction of the set of a frame."""
-        return self.truth(self._set_of[index])
 
     def predict(self, frames: Sequence[Frame]) -> PriorSet:
         """Degraded depth of some frames."""
@@ -81,7 +75,7 @@ class DegradedDepth:
     def _values(self, index: int) -> Image:
         depth = self._dataset[index].depth_m.astype(np.float64)
         rng, how = np.random.default_rng((self._seed, 1, index)), self._degradation
-        true = self.truth_of(index)
+        true = self.truth(self._set_of[index])
         values = (depth * _bend(depth.shape, how.bend, rng) - true.shift) / true.scale
         values *= 1.0 + how.noise * rng.standard_normal(depth.shape)
         wrong = rng.uniform(0.0, 3.0, depth.shape) * np.median(values[depth > 0])

@@ -7,7 +7,7 @@ peak memory is its alone.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -32,6 +32,7 @@ from toolkit.splatting.alignment.levels import intensity_of
 
 MethodName = Literal["semsplat", "orbslam3", "colmap"]
 Grey = NDArray[np.uint8]
+Pose = NDArray[np.floating]
 
 # ORB-SLAM3 maps in a thread of its own while the next images are tracked. It is given images at
 # this interval, which is several times what it needs for one on the slowest machine.
@@ -121,62 +122,79 @@ def orbslam3(frames: EveryNth, camera: Camera, folder: Path, vocabulary: Path) -
 
     The package returns the final poses of only those frames whose keyframe is still in the map.
     """
+    maps, poses = tracked_by_orbslam3(frames, camera, folder, vocabulary)
+    largest = max(maps, key=len)
+    return Motion(_trajectory([(t, T) for t, T in poses if t in largest]), len(largest))
+
+
+def tracked_by_orbslam3(
+    frames: Iterable[Frame], camera: Camera, folder: Path, vocabulary: Path, depth: bool = False
+) -> tuple[list[set[float]], list[tuple[float, Pose]]]:
+    """Timestamps of the tracked frames of each map, and final poses T_camera_world.
+
+    Args:
+        folder: for files.
+        depth: use the depth of the frames.
+    """
     import orbslam3
 
-    settings = folder / "orbslam3.yaml"
-    settings.write_text(orb_settings(camera), encoding="ascii")
-    system = orbslam3.System(str(vocabulary), str(settings), orbslam3.Sensor.MONOCULAR)
+    settings, sensor = folder / "orbslam3.yaml", orbslam3.Sensor
+    settings.write_text(_orb_settings(camera), encoding="ascii")
+    kind = sensor.RGBD if depth else sensor.MONOCULAR
+    system = orbslam3.System(str(vocabulary), str(settings), kind)
     system.set_use_viewer(False)
     system.initialize()
     maps: list[set[float]] = [set()]
     for frame in frames:
         begin = time.perf_counter()
-        system.process_image_mono(grey(frame), frame.timestamp_s)
+        if depth:
+            system.process_image_rgbd(grey(frame), frame.depth_m, frame.timestamp_s)
+        else:
+            system.process_image_mono(grey(frame), frame.timestamp_s)
         state = str(system.get_tracking_state())
         if state == _TRACKED:
             maps[-1].add(frame.timestamp_s)
         elif state != _RECENTLY_LOST:
             maps.append(set())
         time.sleep(max(0.0, _INTERVAL_S - (time.perf_counter() - begin)))
-    largest = max(maps, key=len)
-    found = [(t, T) for t, T in system.get_trajectory_points() if t in largest]
+    poses = list(system.get_trajectory_points())
     system.shutdown()
-    return Motion(_trajectory(found), len(largest))
+    return maps, poses
 
 
-def orb_settings(camera: Camera) -> str:
-    """The settings file: the values of its examples, but for the camera."""
-    return f"""%YAML:1.0
-File.version: "1.0"
-Camera.type: "PinHole"
-Camera1.fx: {camera.fx}
-Camera1.fy: {camera.fy}
-Camera1.cx: {camera.cx}
-Camera1.cy: {camera.cy}
-Camera1.k1: 0.0
-Camera1.k2: 0.0
-Camera1.p1: 0.0
-Camera1.p2: 0.0
-Camera.width: {camera.width}
-Camera.height: {camera.height}
-Camera.fps: 30
-Camera.RGB: 1
-ORBextractor.nFeatures: {_ORB_FEATURES}
-ORBextractor.scaleFactor: 1.2
-ORBextractor.nLevels: 8
-ORBextractor.iniThFAST: 20
-ORBextractor.minThFAST: 7
-Viewer.KeyFrameSize: 0.05
-Viewer.KeyFrameLineWidth: 1.0
-Viewer.GraphLineWidth: 0.9
-Viewer.PointSize: 2.0
-Viewer.CameraSize: 0.08
-Viewer.CameraLineWidth: 3.0
-Viewer.ViewpointX: 0.0
-Viewer.ViewpointY: -0.7
-Viewer.ViewpointZ: -1.8
-Viewer.ViewpointF: 500.0
-"""
+def _orb_settings(camera: Camera) -> str:
+    """The settings file: the values of its examples, but for the camera.
+
+    Points closer than 40 baselines are near ones; the baseline is that of Kinect's projector.
+    """
+    values = {
+        **{f"Camera1.{name}": getattr(camera, name) for name in ("fx", "fy", "cx", "cy")},
+        **{f"Camera1.{name}": 0.0 for name in ("k1", "k2", "p1", "p2")},
+        "Camera.width": camera.width,
+        "Camera.height": camera.height,
+        "Camera.fps": 30,
+        "Camera.RGB": 1,
+        "ORBextractor.nFeatures": _ORB_FEATURES,
+        "ORBextractor.scaleFactor": 1.2,
+        "ORBextractor.nLevels": 8,
+        "ORBextractor.iniThFAST": 20,
+        "ORBextractor.minThFAST": 7,
+        "Stereo.b": 0.075,
+        "Stereo.ThDepth": 40.0,
+        "RGBD.DepthMapFactor": 1.0,
+        "Viewer.KeyFrameSize": 0.05,
+        "Viewer.KeyFrameLineWidth": 1.0,
+        "Viewer.GraphLineWidth": 0.9,
+        "Viewer.PointSize": 2.0,
+        "Viewer.CameraSize": 0.08,
+        "Viewer.CameraLineWidth": 3.0,
+        "Viewer.ViewpointX": 0.0,
+        "Viewer.ViewpointY": -0.7,
+        "Viewer.ViewpointZ": -1.8,
+        "Viewer.ViewpointF": 500.0,
+    }
+    head = '%YAML:1.0\nFile.version: "1.0"\nCamera.type: "PinHole"\n'
+    return head + "".join(f"{name}: {value}\n" for name, value in values.items())
 
 
 def colmap(frames: EveryNth, camera: Camera, folder: Path) -> Motion:

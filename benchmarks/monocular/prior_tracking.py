@@ -6,8 +6,6 @@ SEMSPLAT_DATA=DATA python -m benchmarks.monocular.prior_tracking [--only NAMES]
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,37 +16,25 @@ from benchmarks.shared.recordings import RECORDINGS, room
 from benchmarks.shared.runner import Page
 from benchmarks.shared.runs import finished_slam
 from benchmarks.shared.tables import Metrics, part_table
-from toolkit.base.frame import Frame
-from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
 from toolkit.base.options import as_plain, validated
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.depth.depth_priors.provider import (
-    DepthKind,
-    DepthPrior,
-    DepthProvider,
-    Image,
-    PriorModel,
-    PriorSet,
-    ScaleScope,
-)
+from toolkit.depth.depth_priors.provider import DepthProvider
 from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.modes import RunContext, mode_of
 from toolkit.runs.observers import no_progress
 from toolkit.runs.settings import PresetName, RunSettings, load_settings
 from toolkit.slam.system import Slam
-from toolkit.splatting.rendering import backend, render_surface
 
 SIZE, FRAMES = (160, 120), 40
 SETS = (8, 4)
 Values = dict[str, Any]
-# What a prior is: true depth, degraded, or the depth of our own map from images alone.
-PRIORS: dict[str, Values | None] = {
+# How true depth is degraded to a prior.
+PRIORS: dict[str, Values] = {
     "exact": {"noise": 0.0, "outliers": 0.0},
     "smooth errors": {"noise": 0.02, "outliers": 0.05, "bend": 0.03},
     "noise": {"noise": 0.2, "outliers": 0.3},
-    "our depth": None,
 }
 _SHARE: Values = {"share": "scope"}
 _FILTERED: Values = {"share": "scope", "robust": True, "filter": True}
@@ -58,7 +44,7 @@ MENDED: dict[str, Values] = {
     "shared by the set": {"correction": _SHARE},
     "shared, robust, filtered": {"correction": _FILTERED},
 }
-SEQUENCES = {"room": tuple(PRIORS), "redkitchen": ("smooth errors", "our depth")}
+SEQUENCES = {"room": tuple(PRIORS), "redkitchen": ("smooth errors",)}
 _OURS: Values = {"preset": "default"}
 _ODOMETRY: Values = {"use": "complete", "tracking": "dense"}
 _SYSTEM_COLUMNS = (
@@ -71,32 +57,12 @@ and of RedKitchen at {SIZE[0]}x{SIZE[1]}, each of them mapped with 60 iterations
 unknown scale (factor 0.5 to 2) and shift (up to 0.4 m) for each set of {SETS[0]} frames at a
 stride of {SETS[1]}, except the first one. `exact` has no other error; `smooth errors` 2 % noise,
 5 % outliers and a smooth error of 3 % RMS that differs between frames; `noise` 20 % noise and 30 %
-outliers. `our depth` is the depth of the map that a run with `--depth none` makes of the same
-images, rendered at its poses.
+outliers.
 
 ATE: after Sim(3) alignment. Scale error: of the median depth of keyframes, relative to that of the
 first quarter of them; median over the keyframes, and of the last one. Depth error: median over the
 pixels of all keyframes, in the same unit. The path is the camera's. As printed: every frame has a
 scale and a shift of its own, by least squares. Shared: the frames of a set have the same."""
-
-
-class OwnDepth:
-    """The depth of a map that was made of the images alone, as a prior."""
-
-    joint = False
-    model = PriorModel("our own map", licence="none")
-
-    def __init__(self, depth: dict[int, Image]) -> None:
-        self._depth = depth
-
-    def predict(self, frames: Sequence[Frame]) -> PriorSet:
-        """The depth at the frames."""
-        images = (np.where((d := self._depth[f.index]) > 0, d, np.nan) for f in frames)
-        priors = (
-            DepthPrior(image.astype(np.float32), DepthKind.SCALED, ScaleScope.SEQUENCE, self.model)
-            for image in images
-        )
-        return PriorSet(tuple(f.index for f in frames), tuple(priors))
 
 
 def jobs() -> dict[str, Values]:
@@ -190,31 +156,7 @@ def _dataset(sequence: str) -> RecordedDataset:
 
 
 def _provider(sequence: str, prior: str, seed: int) -> DepthProvider:
-    how = PRIORS[prior]
-    if how is None:
-        return OwnDepth(_own_depth(sequence, seed))
-    degradation = Degradation(**(asdict(Degradation()) | how))
-    return DegradedDepth(_dataset(sequence), degradation, *SETS, seed)
-
-
-@cache
-def _own_depth(sequence: str, seed: int) -> dict[int, Image]:
-    """Depth [H, W] by frame of a map made of the images alone, in its unit."""
-    dataset, settings = _dataset(sequence), _settings(_ODOMETRY | _OURS, seed)
-    context = RunContext(settings, dataset, StageRecorder(), None, no_progress)
-    source = mode_of(settings).open(context)
-    with finished_slam(settings, dataset, source=source) as run:
-        result = run.result
-        found = {}
-        poses = zip(result.frame_indices, result.trajectory.T_world_camera, strict=True)
-        for index, T_map_camera in poses:
-            visible = result.map.visible_from(dataset.camera, T_map_camera)
-            view = render_surface(
-                backend("auto"), visible, dataset.camera, se3.inverse(T_map_camera)
-            )
-            found[int(index)] = view.depth_m.numpy()
-    nothing: Image = np.zeros(SIZE[::-1], np.float32)
-    return {index: found.get(index, nothing) for index in range(len(dataset))}
+    return DegradedDepth(_dataset(sequence), Degradation(**PRIORS[prior]), *SETS, seed)
 
 
 TITLES = {"room": "Systems, synthetic room", "redkitchen": "Systems, RedKitchen"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -16,15 +15,12 @@ from benchmarks.shared.runs import finished_run
 from benchmarks.shared.tables import Metrics
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.base import RecordedDataset
-from toolkit.depth.monocular import motion as motion_module
-from toolkit.depth.monocular.loop_closure import LoopClosure
 from toolkit.depth.monocular.motion import CameraMotion, estimate_motion
 from toolkit.depth.monocular.sequence import MonocularSequence
 
 OUTLIER = 0.2
 DEPTH_VIEWS = 12
 FILM_FPS = 30.0
-_NO_REVISITS = LoopClosure()
 
 
 def measure(job: dict[str, Any], seed: int) -> Metrics:
@@ -62,7 +58,7 @@ def measure(job: dict[str, Any], seed: int) -> Metrics:
     scale = metrics.get("trajectory.scale")
     if isinstance(scale, float):
         metrics |= _depth(dataset, motion, scale)
-    return metrics | _without_revisits(dataset, truth)
+    return metrics
 
 
 def _depth(dataset: RecordedDataset, motion: CameraMotion, scale: float) -> Metrics:
@@ -82,21 +78,6 @@ def _depth(dataset: RecordedDataset, motion: CameraMotion, scale: float) -> Metr
         "depth_density_percent": 100.0 * known / measured,
         "depth_median_error_percent": 100.0 * float(np.median(error)),
         "depth_outliers_percent": 100.0 * float((error > OUTLIER).mean()),
-    }
-
-
-def _without_revisits(dataset: RecordedDataset, truth: Trajectory) -> Metrics:
-    """Errors of the motion if places that the camera visits again do not correct it."""
-    with patch.object(
-        motion_module, "close_loops", lambda sparse_map, *_: (sparse_map, _NO_REVISITS)
-    ):
-        found = estimate_motion(dataset, dataset.camera).trajectory
-    if not len(found):
-        return {}
-    errors = motion_errors(found, truth)
-    return {
-        "ate_without_revisits_cm": errors.get("ate_rmse_cm"),
-        "scale_drift_without_revisits_percent": scale_drift_percent(found, truth),
     }
 
 

@@ -30,10 +30,7 @@ RELIABILITY = (
     *("monocular.scale_sigma_percent", "monocular.reprojection_px", "monocular.keyframes"),
     "monocular.focal_sigma_percent",
 )
-REVISITS = (
-    *("monocular.revisits", "monocular.revisits_rejected", "ate_rmse_cm"),
-    *("ate_without_revisits_cm", "scale_drift_percent", "scale_drift_without_revisits_percent"),
-)
+REVISITS = ("monocular.revisits", "monocular.revisits_rejected", "scale_drift_percent")
 COST = (
     *("monocular.motion_ms_per_frame", "time.tracking_ms_per_frame", "time.mapping_ms_per_frame"),
     *("time.refinement_ms_per_frame", "time.online_ms_per_frame", "time.total_ms_per_frame"),
@@ -90,9 +87,8 @@ orientations; none for EuRoC, whose file of true poses has inverted rotations. D
 {DEPTH_VIEWS} evenly spaced keyframes at the scale of the alignment: fraction of the pixels with
 true depth that have an estimated one, its median relative error, and the fraction with an error
 above {OUTLIER:.0%}. Drift of the scale: its change from the first quarter of the frames to the last
-one; it means little where the camera hardly moves. Without revisits: the motion if places that the
-camera visits again do not correct it. The motion of the whole sequence is estimated before it is
-mapped (`monocular.motion_ms_per_frame`, part of the total)."""
+one; it means little where the camera hardly moves. The motion of the whole sequence is estimated
+before it is mapped (`monocular.motion_ms_per_frame`, part of the total)."""
 
 
 def _tables(rows: Rows) -> Sequence[Table]:

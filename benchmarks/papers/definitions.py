@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
-from benchmarks.papers.parts import LANDMARKS, LANDMARKS_NOTE
-from benchmarks.papers.plans import LONG, REAL, REAL_FRAMES
-
-Values = dict[str, Any]
+from benchmarks.papers.plans import LONG, REAL_FRAMES
 
 
 @dataclass(frozen=True)
@@ -42,29 +38,6 @@ class PaperTable:
     title: str
     columns: tuple[str, ...]
     rows: Mapping[str, RunRow]
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class FunctionTable:
-    """A table of what a function measures.
-
-    Attributes:
-        title: with the numbers of the papers' tables.
-        kind: of the function.
-        columns: metrics by title.
-        rows: jobs by title.
-        seeds: number of seeds of each row.
-        paper: the published values by title of the row.
-        note: below the table.
-    """
-
-    title: str
-    kind: str
-    columns: Mapping[str, str]
-    rows: Mapping[str, Mapping[str, Any]]
-    seeds: int
-    paper: Mapping[str, str] = field(default_factory=dict)
     note: str = ""
 
 
@@ -117,16 +90,7 @@ _TUM = {
     "hier-slam": "ATE 5.62 (TUM, 5 sequences)",
     "gausem": "ATE 2.83, PSNR 27.48, SSIM 0.861 (TUM, 5 sequences)",
 }
-_RIVALS = {
-    "Open3D dense-slam": "dense-slam",
-    "Open3D dense-slam-tuned": "dense-slam-tuned",
-    "Open3D odometry": "odometry",
-    "Open3D odometry-planes": "odometry-planes",
-    "OpenCV odometry": "opencv",
-    "ORB-SLAM3": "orbslam3",
-}
-
-TABLES: tuple[PaperTable | FunctionTable, ...] = (
+TABLES: tuple[PaperTable, ...] = (
     PaperTable(
         "H-I, H-IV, H-V, G-I: tracking and mapping, synthetic",
         _QUALITY,
@@ -150,32 +114,6 @@ TABLES: tuple[PaperTable | FunctionTable, ...] = (
         ("ATE cm", "PSNR dB", "SSIM", "depth L1 cm", "lost", "ms per frame"),
         _real("redkitchen", {}) | _real("fr1_rpy", _TUM) | _real("hololens", {}),
         f"The first {REAL_FRAMES} frames. Published: other sequences of TUM.",
-    ),
-    FunctionTable(
-        "Rivals on the same frames",
-        "rival",
-        {
-            "ATE cm": "ate_rmse_cm",
-            "failures": "failures",
-            "ms per frame": "frame_ms",
-            "peak MB": "peak_memory_mb",
-        },
-        {
-            f"{name}, {title}": {
-                "sequence": place.name,
-                "size": place.size,
-                "frames": place.frames,
-                "rival": rival,
-            }
-            for name, place in REAL.items()
-            for title, rival in _RIVALS.items()
-        },
-        1,
-        note="Open3D as in `benchmarks.accuracy.compare_open3d`: dense SLAM with 1 cm voxels and "
-        "its own or more iterations; frame-to-frame odometry, hybrid or point-to-plane. OpenCV's "
-        "odometry and ORB-SLAM3 as in `benchmarks.accuracy.motion`, the latter slowly enough for "
-        "its mapping thread and at the sequence's size there. n/a: no pose, or not installed "
-        "(`pip install --no-deps orbslam3-python`).",
     ),
     PaperTable(
         "H-VI: time per iteration and frame of Hier-SLAM++, by code",
@@ -210,55 +148,8 @@ TABLES: tuple[PaperTable | FunctionTable, ...] = (
         "Default system on office0 at 300x170 with given poses; every fifth view is held out. "
         "Subset: predictions are decoded among the classes of the view's truth, as H does.",
     ),
-    FunctionTable(
-        "G-VI: registration of submaps",
-        "registration",
-        {
-            "success %": "success_percent",
-            "error cm": "error_cm",
-            "error deg": "error_deg",
-        },
-        {
-            method: {"method": method}
-            for method in (
-                *("FPFH, RANSAC, ICP", "coarse, then two-way", "coarse, Z = I (G-5)", "coarse"),
-                *("fine (start)", "SGR, first-order fine (G-6)"),
-                *("SGR, first-order fine, no feature term", "SGR"),
-            )
-        },
-        3,
-        {
-            "FPFH, RANSAC, ICP": "PSNR 35.71, ATE 0.390, 13.3 s (Replica)",
-            "coarse, then two-way": "PSNR 36.63, ATE 0.243, 1.42 s (LoopSplat's)",
-            "coarse, Z = I (G-5)": "PSNR 36.60, ATE 0.268, 0.62 s",
-            "fine (start)": "PSNR 38.25, ATE 0.265, 0.93 s",
-            "SGR, first-order fine (G-6)": "PSNR 39.94, ATE 0.240, 1.03 s",
-        },
-        "Eight pairs of submaps of a synthetic room for each seed, 160x120, without noise; success "
-        "is 5 cm and 2 degrees. 'fine (start)' begins up to 0.5 m and 30 degrees away.",
-    ),
-    FunctionTable(
-        "G-VII: loop candidates",
-        "search",
-        {
-            "precision %": "intervals.precision_percent",
-            "recall %": "intervals.recall_percent",
-            "F1 %": "intervals.f1_percent",
-            "precision by pose %": "overlap.precision_percent",
-            "recall by pose %": "overlap.recall_percent",
-            "F1 by pose %": "overlap.f1_percent",
-        },
-        LANDMARKS,
-        3,
-        {
-            "vlad, descriptor alone": "P 0.77-0.87, R 0.75-0.91 (ScanNet, DINOv2)",
-            "vlad, Gaussians, as printed (G-7)": "P 0.86-0.95, R 0.80-0.91 (ScanNet, DINOv2)",
-        },
-        f"{LANDMARKS_NOTE} Without 'by pose', truth is that of G: pairs of intervals of ten "
-        "frames.",
-    ),
     PaperTable(
-        "G-VII: the system with these loops",
+        "G-VII: the system with and without landmarks",
         (
             *("search precision %", "search recall %", "search F1 %", "verified precision %"),
             *("verified recall %", "PSNR dB", "ATE cm"),

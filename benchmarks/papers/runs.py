@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -134,27 +134,20 @@ class PaperRuns:
             for plan, status in zip(plans, pool.map(_run_many, plans), strict=True):
                 print(f"{plan.stem}: {'finished' if status == 0 else 'some runs failed'}")
 
-    def folder(self, group: str, sequence: str, settings: str, seed: int = 0) -> Path:
-        """Folder of a run."""
-        return self._folder / group / sequence / settings / f"seed{seed}"
-
     def metrics(self, group: str, settings: str, sequence: str | None = None) -> list[Metrics]:
         """Metrics of the finished runs of a group by dotted key.
 
         Args:
             sequence: the sequences whose name begins so; all by default.
         """
-        return [flattened(read_metrics(path)) for path in self._found(group, settings, sequence)]
+        found = (self._folder / group).glob(f"{sequence or ''}*/{settings}/seed*/metrics.json")
+        return [flattened(read_metrics(path)) for path in sorted(found)]
 
     def expected(self, group: str, sequence: str | None = None) -> int:
         """Number of runs with each of the settings of a group, whatever the effort."""
         plan = self._groups[group]
         places = plan.places(self._effort) if self._effort.quick else plan.sequences
         return plan.seeds * sum(name.startswith(sequence or "") for name in places)
-
-    def _found(self, group: str, settings: str, sequence: str | None) -> Iterator[Path]:
-        folder = self._folder / group
-        yield from sorted(folder.glob(f"{sequence or ''}*/{settings}/seed*/metrics.json"))
 
     def _write_plan(self, name: str) -> Path:
         path = self._folder / f"{name}.yaml"

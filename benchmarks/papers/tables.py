@@ -8,25 +8,19 @@ Writes results/tables.md (quick: tables-quick.md). An interrupted call continues
 from __future__ import annotations
 
 import statistics
-import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
 
 import tyro
 
-from benchmarks.accuracy.compare_open3d import Arguments, rival_figures
-from benchmarks.accuracy.motion_methods import CaseSource, RivalName, RivalProcess
-from benchmarks.accuracy.silent_errors import motion_metrics
 from benchmarks.papers.columns import COLUMNS
-from benchmarks.papers.definitions import TABLES, FunctionTable, PaperTable
-from benchmarks.papers.parts import registered, searched
+from benchmarks.papers.definitions import TABLES, PaperTable
 from benchmarks.papers.plans import GROUPS
 from benchmarks.papers.runs import Effort, PaperRuns
 from benchmarks.shared.results_file import RESULTS, Results, current_header
-from benchmarks.shared.runner import WORK, RunStore, publish
+from benchmarks.shared.runner import publish
 from benchmarks.shared.tables import MISSING, Metrics, Table
 
 DESCRIPTION = """\
@@ -44,7 +38,8 @@ of one thread with another process on the second core.
 
 Not here: ScanNet, TUM fr1/desk, fr1/room, fr2/xyz and fr3/office, and seven of eight Replica scenes
 are not on this machine. H-VIII (monocular) is in `prior_tracking.md`, H-IX (trees) in
-`trees-room.md` and `many-classes.md`. ORB-SLAM3 without depth is in `monocular_rivals.md`."""
+`trees-room.md` and `many-classes.md`, G-VI (registration) in `registration-*.md`. Other systems are
+in `open3d-*.md`, `motion.md` and `monocular_rivals.md`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +59,7 @@ class Options:
 
 
 def main() -> None:
-    """Execute the plans, measure what is no run, and write the tables."""
+    """Execute the plans and write the tables."""
     options = tyro.cli(Options)
     header = current_header(range(5))
     begin = time.perf_counter()
@@ -72,11 +67,7 @@ def main() -> None:
     runs = PaperRuns(GROUPS, Effort(options.quick, seeds))
     runs.execute(options.groups, options.processes)
     name = "tables-quick" if options.quick else "tables"
-    functions = Functions(RunStore(WORK / f"{name}.jsonl"), seeds)
-    tables = [
-        run_table(table, runs) if isinstance(table, PaperTable) else functions.table(table)
-        for table in TABLES
-    ]
+    tables = [run_table(table, runs) for table in TABLES]
     print(f"{(time.perf_counter() - begin) / 60:.0f} minutes")
     title = "The papers' tables" + (", quick check" if options.quick else "")
     publish(Results(name, title, DESCRIPTION, header, tuple(tables)), options.out)
@@ -102,79 +93,6 @@ def spread_cell(runs: Sequence[Metrics], key: str | Callable[[Metrics], float | 
     numbers = [float(value) for value in values if value is not None]
     mean = f"{statistics.mean(numbers):.4g}"
     return mean if len(numbers) < 2 else f"{mean} ± {statistics.stdev(numbers):.2g}"
-
-
-class Functions:
-    """Measurements that are no runs of the system, stored so that a call can be repeated."""
-
-    def __init__(self, store: RunStore, seeds: int) -> None:
-        self._store, self._seeds = store, seeds
-
-    def table(self, table: FunctionTable) -> Table:
-        """Measure the rows of a table."""
-        rows = []
-        for title, job in table.rows.items():
-            seeds = range(min(table.seeds, self._seeds))
-            runs = [self._measured(table.kind, job, seed) for seed in seeds]
-            cells = [spread_cell(runs, column) for column in table.columns.values()]
-            rows.append((title, str(len(runs)), *cells, table.paper.get(title, "")))
-        columns = ("", "runs", *table.columns, "paper")
-        return Table(columns, tuple(rows), table.title, table.note)
-
-    def _measured(self, kind: str, job: Mapping[str, Any], seed: int) -> Metrics:
-        key = [kind, dict(job), seed]
-        found = self._store.find(key)
-        if found is None:
-            found = MEASURES[kind](job, seed)
-            # A rival that is not installed can be installed later.
-            if found:
-                self._store.add(key, found)
-            print(f"{kind}: {job}, seed {seed}", flush=True)
-        return found
-
-
-def _registered(job: Mapping[str, Any], seed: int) -> Metrics:
-    return registered(job["method"], seed)
-
-
-def _searched(job: Mapping[str, Any], seed: int) -> Metrics:
-    return searched(job["encoder"], job["landmarks"], seed)
-
-
-def _rival(job: Mapping[str, Any], seed: int) -> Metrics:
-    """Another system, in a process of its own."""
-    if job["rival"] in get_args(RivalName):
-        return _tracked_by_rival(job)
-    arguments = Arguments(
-        sequence=job["sequence"], image_size=tuple(job["size"]), max_frames=job["frames"]
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        return dict(rival_figures(job["rival"], arguments, Path(folder), seed))
-
-
-def _tracked_by_rival(job: Mapping[str, Any]) -> Metrics:
-    """A method of the benchmark of motion; no metrics if it finds nothing."""
-    rival = job["rival"]
-    # At 160x120, ORB-SLAM3 finds too few features to begin.
-    size = None if rival == "orbslam3" else job["size"]
-    source = CaseSource(job["sequence"], size, "stride 1", frames=job["frames"])
-    processes = RivalProcess()
-    try:
-        found = processes.estimate(rival, source)
-    finally:
-        processes.close()
-    if isinstance(found, str):
-        print(f"{rival}: {found}", flush=True)
-        return {}
-    metrics = motion_metrics(found, source.open().truth)
-    return metrics | {"ate_rmse_cm": metrics["ate_cm"], "failures": metrics["frames_lost"]}
-
-
-MEASURES: dict[str, Callable[[Mapping[str, Any], int], Metrics]] = {
-    "registration": _registered,
-    "search": _searched,
-    "rival": _rival,
-}
 
 
 if __name__ == "__main__":

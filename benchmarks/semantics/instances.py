@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.semantics.instance_costs import COST_COLUMNS, COST_NOTE, measure_costs
 from benchmarks.semantics.instance_masks import Faults, TrueMasks
 from benchmarks.shared.recordings import RECORDINGS, room
 from benchmarks.shared.runner import Page
@@ -46,10 +45,8 @@ from toolkit.slam.system import Slam
 # Name of a sequence: its dataset, number of frames and image size.
 SEQUENCES = ("room", "office0", "ring")
 ROOMS = {"room": "room-instances", "ring": "ring-small"}
-# Rooms whose time and memory is measured.
-COSTS = {"room at 320x240": "room-objects", "ring at 160x120": "ring-small"}
 # Number of seeds of the sequences that are not measured with all of them.
-FEWER_SEEDS = {"office0": 1, "ring": 1} | dict.fromkeys(COSTS, 1)
+FEWER_SEEDS = {"office0": 1, "ring": 1}
 FAULTS = {
     "true masks": Faults(),
     "20 % dropped": Faults(dropped=0.2),
@@ -82,14 +79,10 @@ the faults of the masks."""
 
 
 def tables(found: Rows) -> list[Table]:
-    """Quality, its range over the seeds, and costs."""
-    rows = _rows({name: runs for name, runs in found.items() if name not in COSTS})
-    costs = _rows({name: runs for name, runs in found.items() if name in COSTS})
-    return [
-        table_of(COLUMNS, rows),
-        _ranges({name: runs for name, runs in rows.items() if len(runs) > 1}),
-        replace(table_of(COST_COLUMNS, costs, title="Time and memory"), note=COST_NOTE),
-    ]
+    """Quality, and its range over the seeds."""
+    rows = _rows(found)
+    several = {name: runs for name, runs in rows.items() if len(runs) > 1}
+    return [table_of(COLUMNS, rows), _ranges(several)]
 
 
 def _rows(found: Rows) -> Rows:
@@ -117,12 +110,6 @@ def measure(name: str, seed: int) -> Metrics:
     """Metrics of all rows of a sequence, by row; none for a seed beyond those of the sequence."""
     if seed >= FEWER_SEEDS.get(name, seed + 1):
         return {}
-    if name in COSTS:
-        return dict(measure_costs(room(COSTS[name], seed), seed))
-    return _scored(name, seed)
-
-
-def _scored(name: str, seed: int) -> Metrics:
     settings, folder = _settings(name, seed)
     assert settings.dataset.path is not None
     dataset = open_dataset(settings.dataset.kind, settings.dataset.path, settings.image_size)
@@ -259,7 +246,7 @@ PAGE = Page(
     "instances",
     "Instances",
     DESCRIPTION,
-    {name: name for name in (*SEQUENCES, *COSTS)},
+    {name: name for name in SEQUENCES},
     measure,
     tables,
     seeds=5,

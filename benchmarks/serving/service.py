@@ -9,7 +9,6 @@ import http.client
 import json
 import os
 import random
-import subprocess
 import sys
 import threading
 import time
@@ -33,28 +32,20 @@ Clients are threads of the benchmark with one connection each; each sends its ne
 the last one has been answered. The order of the requests is random. Renders are computed one after
 another, so that the latency of a render contains that of the renders before it. The first query
 for objects, which computes them, is sent before the measurement and stands below the table."""
-
+_POSE = '"translation_m": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]'
 # Endpoint: weight, path, body of a POST.
-_ENDPOINTS: dict[str, tuple[int, str, bytes]] = {
-    "run": (10, "/run", b""),
-    "poses": (10, "/poses?count=100", b""),
-    "metrics": (5, "/metrics", b""),
-    "query": (15, "/query?name=chair", b""),
-    "objects": (5, "/objects", b""),
-    "keyframe, colour, 320x240": (15, "/keyframes/{keyframe}.png", b""),
-    "keyframe, classes, 320x240": (10, "/keyframes/{keyframe}.png?what=classes", b""),
-    "render, colour, 640x480": (
-        20,
-        "/render",
-        b'{"translation_m": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1],'
-        b' "width": 640, "height": 480}',
-    ),
-    "render, depth, 320x240": (
-        10,
-        "/render",
-        b'{"translation_m": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1], "what": "depth"}',
-    ),
+_ENDPOINTS: dict[str, tuple[int, str, str]] = {
+    "run": (10, "/run", ""),
+    "poses": (10, "/poses?count=100", ""),
+    "metrics": (5, "/metrics", ""),
+    "query": (15, "/query?name=chair", ""),
+    "objects": (5, "/objects", ""),
+    "keyframe, colour, 320x240": (15, "/keyframes/{keyframe}.png", ""),
+    "keyframe, classes, 320x240": (10, "/keyframes/{keyframe}.png?what=classes", ""),
+    "render, colour, 640x480": (20, "/render", f'{{{_POSE}, "width": 640, "height": 480}}'),
+    "render, depth, 320x240": (10, "/render", f'{{{_POSE}, "what": "depth"}}'),
 }
+_COLUMNS = ("endpoint", "requests", "median ms", "p90 ms", "p95 ms", "p99 ms", "max ms", "failed")
 _TIMEOUT_S = 120.0
 
 
@@ -63,15 +54,13 @@ class Options:
     """Load of the service."""
 
     requests: int = 1000
-    """Number of well-formed requests of all clients."""
+    """Number of requests of all clients."""
     clients: int = 16
     """Number of clients."""
     frames: int = 60
     """Frames of the run."""
     seed: int = 0
     """Seed of the order of the requests."""
-    run: Path | None = None
-    """A finished run with labels to serve instead."""
     out: Path = RESULTS
     """Folder of the results file."""
 
@@ -82,44 +71,44 @@ class _Request:
 
     endpoint: str
     path: str
-    body: bytes = b""
+    body: str = ""
 
 
 @dataclass(frozen=True)
 class _Answer:
-    """Status and latency of a request; status 0 if the connection ended."""
+    """Status, latency and body of a request; status 0 if the connection ended."""
 
     endpoint: str
     status: int
     latency_ms: float
+    body: bytes = b""
 
 
 def main() -> int:
     """Measure; exit with 1 if a request failed."""
     options = tyro.cli(Options)
-    header = current_header(
-        [options.seed], ("toolkit/tools/serving", "toolkit/splatting/rendering")
-    )
-    generator = random.Random(options.seed)
-    service, port = _started(options.run or _run(options.frames))
+    measured = ("toolkit/tools/serving", "toolkit/splatting/rendering")
+    header = current_header([options.seed], measured)
+    service, url = start_semsplat_server("serve", str(_run(options.frames)), "--port", "0")
+    port = int(url.rpartition(":")[2])
     try:
-        keyframes = _keyframes(port)
-        first_ms = _ask(_connection(port), _Request("objects", "/objects")).latency_ms
+        keyframes = json.loads(_ask(port, _Request("", "/keyframes?count=1")).body)["total"]
+        first_ms = _ask(port, _Request("objects", "/objects")).latency_ms
+        requests = _requests(options, int(keyframes))
         begin = time.perf_counter()
-        requests = _requests(options.requests, keyframes, generator)
         answers = _load(port, requests[: options.requests // 5], options.clients)
-        memory_mb = [_memory_mb(service)]
+        memory_mb = [_memory_mb(service.pid)]
         answers += _load(port, requests[options.requests // 5 :], options.clients)
         elapsed_s = time.perf_counter() - begin
-        memory_mb.append(_memory_mb(service))
+        memory_mb.append(_memory_mb(service.pid))
     finally:
         service.terminate()
         _, errors = service.communicate()
-    rate = options.requests / elapsed_s
     note = (
         f"{options.requests} requests of {options.clients} clients in {elapsed_s:.1f} s: "
-        f"{rate:.0f} per second. Objects, first request: {first_ms:.0f} ms. Memory of the service: "
-        f"{memory_mb[0]:.0f} MB after a fifth of the requests, {memory_mb[1]:.0f} MB after all."
+        f"{options.requests / elapsed_s:.0f} per second. Objects, first request: {first_ms:.0f} "
+        f"ms. Memory of the service: {memory_mb[0]:.0f} MB after a fifth of the requests, "
+        f"{memory_mb[1]:.0f} MB after all."
     )
     tables = (_latencies(answers, note),)
     publish(Results("serving", "Service", DESCRIPTION, header, tables), options.out)
@@ -136,35 +125,20 @@ def _run(frames: int) -> Path:
     return out
 
 
-def _started(run: Path) -> tuple[subprocess.Popen[str], int]:
-    service, url = start_semsplat_server("serve", str(run), "--port", "0")
-    return service, int(url.rpartition(":")[2])
-
-
-def _memory_mb(service: subprocess.Popen[str]) -> float:
-    """Resident memory of the service; NaN where the system does not tell."""
-    state = Path(f"/proc/{service.pid}/statm")
+def _memory_mb(process: int) -> float:
+    """Resident memory of a process; NaN where the system does not tell."""
+    state = Path(f"/proc/{process}/statm")
     pages = int(state.read_text("utf-8").split()[1]) if state.exists() else float("nan")
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def _connection(port: int) -> http.client.HTTPConnection:
-    return http.client.HTTPConnection("127.0.0.1", port, timeout=_TIMEOUT_S)
-
-
-def _keyframes(port: int) -> int:
-    connection = _connection(port)
-    connection.request("GET", "/keyframes?count=1")
-    return int(json.loads(connection.getresponse().read())["total"])
-
-
-def _requests(count: int, keyframes: int, generator: random.Random) -> list[_Request]:
-    weights = [weight for weight, _, _ in _ENDPOINTS.values()]
+def _requests(options: Options, keyframes: int) -> list[_Request]:
+    generator = random.Random(options.seed)
+    weights = [weight for weight, *_ in _ENDPOINTS.values()]
     requests = []
-    for name in generator.choices(list(_ENDPOINTS), weights, k=count):
+    for name in generator.choices(list(_ENDPOINTS), weights, k=options.requests):
         _, path, body = _ENDPOINTS[name]
-        path = path.format(keyframe=generator.randrange(keyframes))
-        requests.append(_Request(name, path, body))
+        requests.append(_Request(name, path.format(keyframe=generator.randrange(keyframes)), body))
     return requests
 
 
@@ -174,41 +148,40 @@ def _load(port: int, requests: Sequence[_Request], clients: int) -> list[_Answer
 
     def ask(request: _Request) -> _Answer:
         if not hasattr(connections, "own"):
-            connections.own = _connection(port)
-        return _ask(connections.own, request)
+            connections.own = http.client.HTTPConnection("127.0.0.1", port, timeout=_TIMEOUT_S)
+        return _ask(port, request, connections.own)
 
     with ThreadPoolExecutor(clients) as pool:
         return list(pool.map(ask, requests))
 
 
-def _ask(connection: http.client.HTTPConnection, request: _Request) -> _Answer:
-    method = "POST" if request.body else "GET"
-    headers = {"content-type": "application/json"} if request.body else {}
+def _ask(
+    port: int, request: _Request, connection: http.client.HTTPConnection | None = None
+) -> _Answer:
+    connection = connection or http.client.HTTPConnection("127.0.0.1", port, timeout=_TIMEOUT_S)
+    method, headers = (
+        ("POST", {"content-type": "application/json"}) if request.body else ("GET", {})
+    )
     begin = time.perf_counter()
+    status, body = 0, b""
     try:
         connection.request(method, request.path, request.body or None, headers)
         response = connection.getresponse()
-        response.read()
-        status = response.status
+        status, body = response.status, response.read()
     except (OSError, http.client.HTTPException):
         connection.close()
-        status = 0
-    return _Answer(request.endpoint, status, 1e3 * (time.perf_counter() - begin))
+    return _Answer(request.endpoint, status, 1e3 * (time.perf_counter() - begin), body)
 
 
 def _latencies(answers: Sequence[_Answer], note: str) -> Table:
     rows = []
     for name in [*_ENDPOINTS, "all"]:
         chosen = [a for a in answers if name in (a.endpoint, "all")]
-        if not chosen:
-            continue
-        values = np.percentile([a.latency_ms for a in chosen], (50, 90, 95, 99, 100))
-        failed = sum(a.status != 200 for a in chosen)
-        rows.append((name, str(len(chosen)), *(f"{v:.1f}" for v in values), str(failed)))
-    columns = (
-        *("endpoint", "requests", "median ms", "p90 ms", "p95 ms", "p99 ms", "max ms", "failed"),
-    )
-    return Table(columns, tuple(rows), note=note)
+        if chosen:
+            values = np.percentile([a.latency_ms for a in chosen], (50, 90, 95, 99, 100))
+            failed = sum(a.status != 200 for a in chosen)
+            rows.append((name, str(len(chosen)), *(f"{v:.1f}" for v in values), str(failed)))
+    return Table(_COLUMNS, tuple(rows), note=note)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Many runs and the refinement of one map on one and on two workers, and a model of their cost.
+"""Many runs and the refinement of one map on one and on two workers.
 
     python -m benchmarks.speed.cluster
 
@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import tyro
 import yaml
@@ -42,21 +42,11 @@ start of the cluster, the imports of each process, and the report. One run's wor
 (SIGKILL) in the middle of the run. `semsplat refine` refines the map of a walk through twelve rooms
 along corridors (120x90, sensor noise, 1500 frames unless the command specifies fewer).
 `trajectory.txt`, `map.ply` and `loops.jsonl` of runs, and all files of refined maps, are compared
-byte by byte.
-
-Times of tasks are those of one process on one thread. The model divides their sum by the number of
-cores and adds the fusion, which one worker does alone. It contains neither the driver's work, nor
-the start of workers and slow storage."""
+byte by byte. Times of tasks are those of one
+process on one thread."""
 
 SAME = ("trajectory.txt", "map.ply", "loops.jsonl")
 WORKERS = (1, 2)
-# Of the model: numbers of sequences of so many frames, of submaps, and of cores.
-SEQUENCES, FRAMES = (10, 100, 1000), 1000
-SUBMAPS = (100, 1000, 10_000)
-CORES = (1, 2, 16, 128)
-# Tasks per submap and pair, and the one that fuses all of them.
-_PARALLEL = ("measure_extent", "measure_overlaps", "refine_submap", "register_submap_pair")
-_FUSION = "assemble"
 
 
 @dataclass(frozen=True)
@@ -84,9 +74,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         runs, run_s = measure_runs(options, folder)
-        refinements, measured = measure_refinement(options, folder)
-    inputs = CostInputs(run_s, options.frames, **measured)
-    tables = (runs, refinements, task_table(inputs), cost_table(inputs))
+        refinements, times_s = measure_refinement(options, folder)
+    tables = (runs, refinements, task_table(options.frames, run_s, times_s))
     publish(Results("cluster", "Runs on a cluster", DESCRIPTION, header, tables), options.out)
     return (
         1 if any("differs" in cell for row in runs.rows + refinements.rows for cell in row) else 0
@@ -197,8 +186,10 @@ class TimedTasks:
         return values
 
 
-def measure_refinement(options: Options, folder: Path) -> tuple[Table, dict[str, Any]]:
-    """Refine one map in this process and on one and two workers."""
+def measure_refinement(
+    options: Options, folder: Path
+) -> tuple[Table, Mapping[str, Sequence[float]]]:
+    """Refine one map in this process and on one and two workers; times of its tasks."""
     run = folder / "map"
     allocation = []
     if options.submap_keyframes is not None:
@@ -226,13 +217,8 @@ def measure_refinement(options: Options, folder: Path) -> tuple[Table, dict[str,
         f"Refinement of a map of {options.map_frames} frames, {refined.submaps} submaps and "
         f"{refined.pairs} pairs"
     )
-    size = sum(p.stat().st_size for p in (folder / "here/submaps").rglob("*") if p.is_file())
-    return Table(("refinement", "time, s", "speed-up", "result"), tuple(rows), title), {
-        "submaps": refined.submaps,
-        "pairs": refined.pairs,
-        "times_s": timed.times_s,
-        "submap_mb": size / refined.submaps / 1e6,
-    }
+    titles = ("refinement", "time, s", "speed-up", "result")
+    return Table(titles, tuple(rows), title), timed.times_s
 
 
 def _same_folder(one: Path, two: Path) -> bool:
@@ -241,58 +227,11 @@ def _same_folder(one: Path, two: Path) -> bool:
     return names[0] == names[1] and list(same) == names[0]
 
 
-def task_table(inputs: CostInputs) -> Table:
+def task_table(frames: int, run_s: float, times_s: Mapping[str, Sequence[float]]) -> Table:
     """Measured times of all tasks."""
-    rows = [(f"run of {inputs.frames} frames", "-", f"{inputs.run_s:.2f}")]
-    rows += [(n, str(len(t)), f"{fmean(t):.3f}") for n, t in inputs.times_s.items()]
+    rows = [(f"run of {frames} frames", "-", f"{run_s:.2f}")]
+    rows += [(n, str(len(t)), f"{fmean(t):.3f}") for n, t in times_s.items()]
     return Table(("task", "tasks", "mean time, s"), tuple(rows), "Times of tasks")
-
-
-@dataclass(frozen=True)
-class CostInputs:
-    """What was measured.
-
-    Attributes:
-        run_s: time of a run of `frames` frames, without the start of its process.
-        frames: of that run.
-        submaps, pairs: of the refined map.
-        times_s: times of its tasks by function.
-        submap_mb: mean size of a submap in storage, MB.
-    """
-
-    run_s: float
-    frames: int
-    submaps: int
-    pairs: int
-    times_s: Mapping[str, Sequence[float]]
-    submap_mb: float
-
-
-def cost_table(inputs: CostInputs) -> Table:
-    """Predicted wall-clock hours by number of cores."""
-    rows = []
-    for count in SEQUENCES:
-        total_s = count * inputs.run_s * FRAMES / inputs.frames
-        cells = [_hours(total_s / min(cores, count)) for cores in CORES]
-        rows.append((f"{count} sequences of {FRAMES} frames", *cells, "-"))
-    for count in SUBMAPS:
-        parallel_s, alone_s = refinement_seconds(inputs, count)
-        cells = [_hours(parallel_s / cores + alone_s) for cores in CORES]
-        size = f"{count * inputs.submap_mb / 1000.0:.1f}"
-        rows.append((f"map of {count} submaps", *cells, size))
-    titles = [f"{cores} core(s), h" for cores in CORES]
-    return Table(("work", *titles, "submaps, GB"), tuple(rows), "Model")
-
-
-def refinement_seconds(inputs: CostInputs, submaps: int) -> tuple[float, float]:
-    """Seconds of all tasks that run side by side, and of the fusion, which one worker does."""
-    scale = submaps / inputs.submaps
-    parallel_s = scale * sum(sum(inputs.times_s.get(name, ())) for name in _PARALLEL)
-    return parallel_s, scale * fmean(inputs.times_s[_FUSION])
-
-
-def _hours(seconds: float) -> str:
-    return f"{seconds / 3600.0:.2f}"
 
 
 if __name__ == "__main__":

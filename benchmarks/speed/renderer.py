@@ -3,16 +3,15 @@
     python -m benchmarks.speed.renderer [--repeats 9] [--quick]
 
 All instruction sets that this CPU supports are measured in turn, or only that of SEMSPLAT_ISA.
---quick omits the larger scenes and the growth tables: a check that the program works.
+--quick omits the larger scenes: a check that the program works.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
@@ -41,7 +40,7 @@ Forward is one call that projects, sorts, bins and composites; backward returns 
 parameters and of the pose. A width of C channels is 3 colour, 1 depth and C - 4 features; the
 silhouette is included. All cases of a row take turns within each repetition. Scene: one Gaussian
 per pixel and layer around a wavy surface at 2 m, standard deviation 0.7-1.5 px, opacity 0.3-0.95.
-An exponent of 1 is linear growth. The mapping loss consists of colour, SSIM and depth; its time
+The mapping loss consists of colour, SSIM and depth; its time
 includes the gradient."""
 Step = Callable[[], object]
 
@@ -188,30 +187,6 @@ def loss_table(repeats: int) -> Table:
     return Table(columns, rows, "Mapping loss")
 
 
-def growth_tables(repeats: int) -> Iterator[Table]:
-    """Time against the number of Gaussians, then of pixels, the other held still.
-
-    The exponent is that of a power law through this row and the one before: 1 is linear.
-    """
-    small = scene_camera(320, 240)
-    more = [(len(c), c, small) for c in (scene(small, n, 4) for n in (1, 2, 4))]
-    cloud = scene(small, 2, 4)
-    zoomed = [small.scaled(n, n, n * small.width, n * small.height) for n in (1, 2, 4)]
-    finer = [(camera.width * camera.height, cloud, camera) for camera in zoomed]
-    best = instruction_sets()[-1]
-    for name, points in (("Gaussians at 320x240", more), ("pixels of 153600 Gaussians", finer)):
-        columns = (name, "forward ms", "backward ms", "forward exponent", "backward exponent")
-        rows = []
-        before: tuple[float, ...] = ()
-        for size, gaussians, view in points:
-            ms = measure(gaussians, view, [best], repeats)
-            now = size, *(ms[best, step, THREADS] for step in STEPS)
-            powers = [math.log(b / a) for a, b in zip(before, now, strict=False)]
-            rows.append(row(*now, *([p / powers[0] for p in powers[1:]] or ("", ""))))
-            before = now
-        yield Table(columns, tuple(rows), f"Growth with {name}")
-
-
 def main() -> None:
     """Measure all tables."""
     options = tyro.cli(Options)
@@ -222,8 +197,6 @@ def main() -> None:
     scenes = SCENES[:1] if options.quick else SCENES
     loss = loss_table(options.repeats)
     tables = [width_table(scenes, options.repeats), loss]
-    if not options.quick:
-        tables += growth_tables(options.repeats)
     times = {cells[0]: float(cells[1]) for cells in loss.rows}
     ratio = times["avx2"] / times["avx512"] if {"avx2", "avx512"} <= times.keys() else None
     tables.append(target_table([Target("mapping loss: avx2 / avx512", ratio, at_most=2.5)]))

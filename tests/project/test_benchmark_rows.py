@@ -10,7 +10,7 @@ import yaml
 
 from benchmarks.accuracy import presets, sequences
 from benchmarks.loops import detection, ring
-from benchmarks.papers import columns, definitions, plans, runs, tables
+from benchmarks.papers import columns, definitions, plans, runs
 from benchmarks.semantics import codes
 from benchmarks.shared import recordings
 from benchmarks.speed import live, pace
@@ -49,9 +49,6 @@ def test_plans_of_the_papers_tables_are_valid(name: str, tmp_path, monkeypatch) 
 
 def test_rows_of_the_papers_tables_have_runs_and_columns() -> None:
     for table in definitions.TABLES:
-        if isinstance(table, definitions.FunctionTable):
-            assert table.kind in tables.MEASURES and set(table.paper) <= set(table.rows)
-            continue
         assert set(table.columns) <= set(columns.COLUMNS)
         for row in table.rows.values():
             group = plans.GROUPS[row.group]

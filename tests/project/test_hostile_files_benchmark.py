@@ -19,7 +19,7 @@ from benchmarks.inputs.hostile_limits import Limited, limited, message_fault
 from benchmarks.inputs.hostile_samples import SAMPLES
 from toolkit.base.errors import FormatError, ToolkitError
 
-_QUICK = ("class lists", "settings", "COCO", "masks", "shapes", "embeddings", ".splat", "ksplat")
+_QUICK = ("class lists", "settings", "COCO", "masks", "shapes", "embeddings", "map.splat", "ksplat")
 
 _SLOW = ("300,000 keys", "many lines", "a list of a million", "100,000 times")
 
