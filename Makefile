@@ -56,10 +56,9 @@ $(DEMO_ROOM)/unseen/cam_params.json: | ready
 test: ready .stamps/emulator .stamps/vulkan .stamps/chromium .stamps/gltf-validator
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
-bench: ready $(DEMO_ROOM)/unseen/cam_params.json
+bench: ready
 	.venv/bin/python -m benchmarks.speed.renderer --out runs/bench
-	.venv/bin/python -m benchmarks.accuracy.compare_open3d --dataset.kind synthetic \
-		--dataset.path $(DEMO_ROOM) --max-frames 100
+	.venv/bin/python -m benchmarks.accuracy.compare_open3d room --max-frames 100
 
 # Continues an interrupted call; QUICK=--quick measures few frames in 15 minutes.
 QUICK ?=

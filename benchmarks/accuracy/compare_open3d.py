@@ -1,11 +1,10 @@
 """semsplat and Open3D on the same frames.
 
     SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.compare_open3d redkitchen
-    python -m benchmarks.accuracy.compare_open3d --dataset.kind seven-scenes --dataset.path DIR \\
-        --image-size 320 240
+    python -m benchmarks.accuracy.compare_open3d room --max-frames 100
 
-Named sequences have a file of results, other datasets are printed. Each row runs in a process of
-its own: Open3D's dense SLAM (frame-to-model, with its own number of iterations and with more),
+Results of all frames and rows have a file, others are printed. Each row runs in a process of its
+own: Open3D's dense SLAM (frame-to-model, with its own number of iterations and with more),
 Open3D's frame-to-frame odometry (two methods), `semsplat run`, and the same with AVX2 kernels. With
 `--repeats 3` each row is the median, since Open3D differs from run to run on several threads;
 semsplat then runs with the seeds 0, 1, 2.
@@ -79,21 +78,11 @@ class RowError(Exception):
 
 
 @dataclass(frozen=True)
-class DatasetArguments:
-    """Which frames: as `semsplat run` takes them."""
-
-    kind: str = ""
-    path: Path = Path()
-
-
-@dataclass(frozen=True)
 class Arguments:
     """Compare on one sequence.
 
     Attributes:
         sequence: redkitchen, redkitchen-native, fr1_rpy, office0, room or room-noise.
-        dataset: kind and folder of another dataset.
-        image_size: width and height in pixels; native if unset.
         max_frames: number of frames from the start; all if unset.
         rows: which methods to run.
         repeats: runs of each, of which the median is shown.
@@ -103,9 +92,7 @@ class Arguments:
         out: folder of the results file.
     """
 
-    sequence: tyro.conf.Positional[str] = ""
-    dataset: DatasetArguments = DatasetArguments()
-    image_size: tuple[int, int] | None = None
+    sequence: tyro.conf.Positional[str]
     max_frames: int | None = None
     rows: tuple[RowName, ...] = get_args(RowName)
     repeats: int = 1
@@ -167,16 +154,9 @@ def median_figures(runs: list[Figures]) -> Figures:
 
 
 def _frame_options(arguments: Arguments) -> list[str]:
-    if arguments.sequence:
-        options = sequence_arguments(arguments.sequence)
-    else:
-        options = ["--dataset.kind", arguments.dataset.kind]
-        options += ["--dataset.path", str(arguments.dataset.path)]
-    if arguments.image_size is not None:
-        options += ["--image-size", *map(str, arguments.image_size)]
-    if arguments.max_frames is not None:
-        options += ["--max-frames", str(arguments.max_frames)]
-    return options
+    few = arguments.max_frames
+    limit = [] if few is None else ["--max-frames", str(few)]
+    return [*sequence_arguments(arguments.sequence), *limit]
 
 
 def _run(command: list[str], timeout_s: float, variables: Mapping[str, str] | None = None) -> None:
@@ -207,8 +187,6 @@ def _cell(value: float | None, digits: int) -> str:
 
 def main(arguments: Arguments) -> int:
     """Run every row; 1 where a row failed."""
-    if bool(arguments.sequence) == bool(arguments.dataset.kind):
-        raise SystemExit("give the name of a sequence, or --dataset.kind and --dataset.path")
     header = current_header(range(arguments.repeats))
     rows: dict[str, Figures] = {}
     with tempfile.TemporaryDirectory() as temporary:
@@ -223,14 +201,13 @@ def main(arguments: Arguments) -> int:
             except RowError as error:
                 print(f"{name}: {error}", file=sys.stderr)
                 rows[f"{TITLES[name]}: failed"] = {}
-    place = arguments.sequence or arguments.dataset.path.name
-    judged = targets(rows, place)
+    judged = targets(rows, arguments.sequence)
     tables = (comparison_table(rows), *([target_table(judged)] if judged else []))
-    title = f"Open3D and semsplat on {place}"
-    results = Results(f"open3d-{place}", title, NOTE, header, tables)
+    title = f"Open3D and semsplat on {arguments.sequence}"
+    results = Results(f"open3d-{arguments.sequence}", title, NOTE, header, tables)
     failed = any(title.endswith("failed") for title in rows)
     everything = arguments.rows == get_args(RowName) and arguments.max_frames is None
-    if arguments.sequence and everything and not failed:
+    if everything and not failed:
         publish(results, arguments.out)
     else:
         print(results.markdown())

@@ -2,7 +2,7 @@
 
 SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.motion --subset
 SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.motion --only 'RedKitchen, stride 8'
-SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.motion --sequence RedKitchen --methods semsplat
+SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.motion --only RedKitchen
 
 ORB-SLAM3 is measured if it is installed: pip install --no-deps orbslam3-python
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
 
 import tyro
 
@@ -43,7 +42,6 @@ from benchmarks.accuracy.silent_errors import (
 from benchmarks.shared.runner import Report, ReportOptions
 from benchmarks.shared.tables import Metrics, Rows, Table, Target, table_of, target_table
 
-MethodName = Literal["semsplat", "open3d", "opencv", "orbslam3"]
 Job = list[str]
 
 COLUMNS = (
@@ -186,13 +184,9 @@ double speed make no difference to them."""
 class Options(ReportOptions):
     """Measure large and irregular motion.
 
-    `--only` takes names of rows, as 'RedKitchen, stride 8'; they include the rivals.
+    `--only` takes names of sequences, or of rows, as 'RedKitchen, stride 8', with their rivals.
     """
 
-    sequence: tuple[str, ...] = ()
-    """Sequences to measure; all by default."""
-    methods: tuple[MethodName, ...] = get_args(MethodName)
-    """Methods to measure."""
     subset: bool = False
     """Measure some rows without rivals, in a few minutes."""
 
@@ -249,31 +243,21 @@ def chosen(options: Options, jobs: Mapping[str, Job]) -> tuple[str, ...]:
     """The names of the rows to measure; none for all of them.
 
     Raises:
-        SystemExit: a name is unknown, or the options exclude all rows.
+        SystemExit: a name is unknown.
     """
-    for known, names, what in (
-        (SEQUENCES, options.sequence, "sequence"),
-        (jobs, options.only, "only"),
-    ):
-        unknown = set(names) - set(known)
-        if unknown:
-            raise SystemExit(f"--{what}: no '{min(unknown)}'; known are {', '.join(known)}")
-    methods = ("semsplat",) if options.subset else options.methods
-    rows = [
-        name
-        for name, job in jobs.items()
-        if (not options.sequence or job[1] in options.sequence)
-        and ("semsplat" if job[0] == "bad input" else job[0]) in methods
-        and (not options.only or _is_named(name, options.only))
-        and (not options.subset or name in SUBSET)
-    ]
-    if not rows:
-        raise SystemExit("the options exclude all rows")
-    return () if len(rows) == len(jobs) else tuple(rows)
-
-
-def _is_named(row: str, names: Iterable[str]) -> bool:
-    return any(row == name or row.startswith(f"{name}: ") for name in names)
+    if options.subset:
+        return SUBSET
+    rows = dict[str, None]()
+    for name in options.only:
+        found = [
+            row
+            for row, job in jobs.items()
+            if name in (row, job[1]) or row.startswith(f"{name}: ")
+        ]
+        if not found:
+            raise SystemExit(f"--only: no '{name}'; sequences: {', '.join(SEQUENCES)}")
+        rows |= dict.fromkeys(found)
+    return tuple(rows)
 
 
 def measure(job: Job, seed: int, rivals: RivalProcess) -> Metrics:

@@ -10,16 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 
 from benchmarks.shared.recordings import RECORDINGS, room
-from benchmarks.shared.results_file import RESULTS, Results, current_header
-from benchmarks.shared.runner import publish
-from benchmarks.shared.tables import Table
+from benchmarks.shared.runner import Page
+from benchmarks.shared.tables import Metrics, Rows, Table, table_of
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.base.options import validated
@@ -76,25 +73,17 @@ in a run; every fourth or eighth frame does not determine it.
 1 the covariances are too small, below 1 too large. It follows for the position and the rotation
 alone. `sigma` is the reported one, without that of the ground truth."""
 
-_COLUMNS = (
-    *("sequence", "every n-th frame", "frames", "lost", "doubtful", "in ellipse %"),
-    *("error / sigma", "position", "rotation", "error cm", "error deg", "sigma cm", "sigma deg"),
+SEQUENCES = (
+    *("redkitchen", "redkitchen_30fps", "fr1_rpy", "hololens-small", "tartanair-corridor"),
+    *("office0", "room", "room-noise"),
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """Compare reported covariances with true errors."""
-
-    sequences: tyro.conf.Positional[tuple[str, ...]] = (
-        *("redkitchen", "redkitchen_30fps", "fr1_rpy", "hololens-small", "tartanair-corridor"),
-        *("office0", "room", "room-noise"),
-    )
-    """Sequences with ground truth."""
-    strides: tuple[int, ...] = (1, 4, 8)
-    """Every so many frames are used."""
-    out: Path = RESULTS
-    """Folder of the results file."""
+STRIDES = (1, 4, 8)
+COLUMNS = (
+    *("frames", "lost", "doubtful", "in ellipse %", "error / sigma", "position", "rotation"),
+    *("error cm", "error deg", "sigma cm", "sigma deg"),
+)
+_PARTS = {"error / sigma": slice(0, 6), "position": slice(0, 3), "rotation": slice(3, 6)}
+_UNITS = {"cm": (slice(0, 3), 100.0), "deg": (slice(3, 6), 180.0 / np.pi)}
 
 
 @dataclass(frozen=True)
@@ -127,26 +116,37 @@ class Compared:
         return np.asarray(self.squared_distances() <= quantile(_CONFIDENCE, 6))
 
 
-def main() -> None:
-    """Measure the table."""
-    options = tyro.cli(Options)
-    rows: list[tuple[str, ...]] = []
-    inside: dict[int, list[NDArray[np.bool_]]] = {}
-    for stride in options.strides:
-        for name in options.sequences:
-            dataset = strided(name, stride)
-            result = run(name, dataset)
-            compared = compare(result, dataset.recording.ground_truth, _OWN.get(name, TruthError()))
-            inside.setdefault(stride, []).append(compared.inside)
-            rows.append(tuple(row(name, stride, result, compared)))
-            print(*rows[-1], flush=True)
-    for stride, parts in inside.items():
-        within = np.concatenate(parts)
-        share = f"{100 * within.mean():.1f}"
-        rows.append(("all", str(stride), str(len(within)), "", "", share, *[""] * 7))
-    table = Table(_COLUMNS, tuple(rows))
-    results = Results("uncertainty", "Reported covariances", TEXT, current_header([0]), (table,))
-    publish(results, options.out)
+def measure(job: tuple[str, int], _seed: int) -> Metrics:
+    """Run every n-th frame of a sequence, and compare."""
+    name, stride = job
+    dataset = strided(name, stride)
+    result = run(name, dataset)
+    found = compare(result, dataset.recording.ground_truth, _OWN.get(name, TruthError()))
+    metrics: Metrics = {
+        "frames": len(found.errors),
+        "lost": len(result.lost_frames),
+        "doubtful": len(result.doubtful_frames),
+        "in ellipse %": 100.0 * float(found.inside.mean()),
+    }
+    metrics |= {title: found.ratio(part) for title, part in _PARTS.items()}
+    for unit, (part, scale) in _UNITS.items():
+        errors = np.linalg.norm(found.errors[:, part], axis=1)
+        sigmas = np.sqrt(np.trace(found.reported[:, part, part], axis1=1, axis2=2))
+        metrics[f"error {unit}"] = scale * float(np.median(errors))
+        metrics[f"sigma {unit}"] = scale * float(np.median(sigmas))
+    return metrics
+
+
+def table(rows: Rows) -> Table:
+    """All rows, and the share within the ellipse over all sequences."""
+    found = dict(rows)
+    for stride in STRIDES:
+        runs = [run for name, (run,) in rows.items() if name.endswith(f", every {stride}")]
+        frames = sum(run["frames"] for run in runs)
+        inside = sum(run["frames"] * run["in ellipse %"] for run in runs)
+        share = inside / frames if frames else None
+        found[f"all, every {stride}"] = [{"frames": frames, "in ellipse %": share}]
+    return table_of(COLUMNS, found, "sequence, every n-th frame")
 
 
 def strided(name: str, stride: int) -> RecordedDataset:
@@ -218,22 +218,14 @@ def _velocity(truth: Trajectory, place: int) -> Array:
     return np.asarray(se3.log(step) / elapsed_s)
 
 
-def row(name: str, stride: int, result: SlamResult, compared: Compared) -> Iterator[str]:
-    """The row of one run."""
-    position, rotation = slice(0, 3), slice(3, 6)
-    yield from (name, str(stride), str(len(compared.errors)))
-    yield from (str(len(result.lost_frames)), str(len(result.doubtful_frames)))
-    yield f"{100 * compared.inside.mean():.1f}"
-    for part in (slice(0, 6), position, rotation):
-        yield f"{compared.ratio(part):.2f}"
-    sizes = [np.linalg.norm(compared.errors[:, part], axis=1) for part in (position, rotation)]
-    sizes += [
-        np.sqrt(np.trace(compared.reported[:, part, part], axis1=1, axis2=2))
-        for part in (position, rotation)
-    ]
-    for size, unit in zip(sizes, (100.0, 180 / np.pi, 100.0, 180 / np.pi), strict=True):
-        yield f"{unit * np.median(size):.2f}"
-
+PAGE = Page(
+    "uncertainty",
+    "Reported covariances",
+    TEXT,
+    {f"{name}, every {stride}": (name, stride) for stride in STRIDES for name in SEQUENCES},
+    measure,
+    lambda rows: [table(rows)],
+)
 
 if __name__ == "__main__":
-    main()
+    PAGE.main()

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import queue
 import random
 import shutil
 import signal
@@ -21,7 +20,6 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,8 +46,6 @@ class Options:
     """Seed of the draw."""
     limit_s: float = 60.0
     """Time limit for the tests of one mutant, in seconds."""
-    jobs: int = 1
-    """Number of mutants tested at the same time."""
     ignore: tuple[str, ...] = ()
     """Files of tests to leave out, from the root."""
     exclude: tuple[str, ...] = ()
@@ -117,33 +113,20 @@ def _outcome(checkout: Path, tests: list[str], limit_s: float) -> str:
 
 
 def measure(options: Options, drawn: list[tuple[Path, Mutant]], folder: Path) -> list[str]:
-    """The outcome of each mutant, tested in copies of the checkout in a folder.
+    """The outcome of each mutant, tested in a copy of the checkout in a folder.
 
     Raises:
         ValueError: the tests fail, or take too long, without a change.
     """
     tests = [f"tests/{options.target.split('/')[0]}", *(f"--ignore={p}" for p in options.ignore)]
-    checkouts: queue.Queue[Path] = queue.Queue()
-    for number in range(options.jobs):
-        checkouts.put(_copy(folder / str(number)))
-    if _outcome(folder / "0", tests, options.limit_s) != "survived":
+    checkout, verdicts = _copy(folder / "checkout"), []
+    if _outcome(checkout, tests, options.limit_s) != "survived":
         raise ValueError(f"{tests[0]} fails or exceeds {options.limit_s} s without a change")
-
-    def tested(entry: tuple[Path, int, str]) -> str:
-        name, line, source = entry
-        checkout = checkouts.get()
-        try:
-            with _changed(checkout / name, source):
-                verdict = _outcome(checkout, tests, options.limit_s)
-        finally:
-            checkouts.put(checkout)
-        print(f"{name}:{line} {verdict}", file=sys.stderr)
-        return verdict
-
-    # Mutants of a module share its tree, so that threads must not write them.
-    entries = [(name, mutant.line, mutant.source()) for name, mutant in drawn]
-    with ThreadPoolExecutor(options.jobs) as pool:
-        return list(pool.map(tested, entries))
+    for name, mutant in drawn:
+        with _changed(checkout / name, mutant.source()):
+            verdicts.append(_outcome(checkout, tests, options.limit_s))
+        print(f"{name}:{mutant.line} {verdicts[-1]}", file=sys.stderr)
+    return verdicts
 
 
 def _copy(checkout: Path) -> Path:

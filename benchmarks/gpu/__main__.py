@@ -5,27 +5,16 @@
     python -m benchmarks.gpu --smoke                    anywhere: tiny, by Triton's interpreter
     python -m benchmarks.gpu --compile-only             anywhere: what each kernel uses
 
-Parts, each a few minutes at most (the first use of a kernel compiles it, within seconds):
-
-    check       gradients and images against float64, and the sums of a tracking step
-    render      forward and backward beside gsplat and the floors
-    frames      whole frames tracked and mapped, on the GPU and on the CPU
-    papers      the papers' first-order preset, and views rendered a second
-    recordings  the same path and map as on the CPU, for each --recording
-    tunings     the renderer with other block sizes (only when asked for)
-    profile     which kernels take the time (only when asked for)
-
-It needs torch, triton, numpy, OpenCV and scikit-learn, for whole frames Open3D too, and nothing of
-this project installed; for the comparison with the CPU it compiles the native kernels, if a
-compiler and pybind11 are there. gsplat takes part where it is installed, with its own defaults but
-for the 0.3 square pixels by which it widens every Gaussian; it compiles itself when first used,
-which takes minutes.
+docs/guides/gpu.md describes the parts, each a few minutes at most. It needs torch, triton, numpy,
+OpenCV and scikit-learn, for whole frames Open3D too, and nothing of this project installed; for the
+comparison with the CPU it compiles the native kernels, if a compiler and pybind11 are there. gsplat
+takes part where it is installed, with its own defaults but for the 0.3 square pixels by which it
+widens every Gaussian.
 
 C channels are 3 colour, 1 depth and C - 4 features; the silhouette comes with them, and the
 backward pass gives all gradients and the pose's. Times are medians, of CUDA events where
-kernels are timed, contestants in turn. Floors: the bytes that must move (inputs read once,
-outputs written once) over the bandwidth of a large copy; the operations that must be done over
-the rate of a large float32 matrix product.
+kernels are timed, contestants in turn. Floors: the bytes that must move over the bandwidth of a
+large copy; the operations that must be done over the rate of a large float32 matrix product.
 """
 
 from __future__ import annotations

@@ -12,8 +12,6 @@ from benchmarks.inputs.hostile_binary import (
     archive_edits,
     array_edits,
     binary_edits,
-    depth_edits,
-    jpeg_edits,
     members,
     png_edits,
     with_member,
@@ -33,12 +31,10 @@ _EDITS: Mapping[str, Callable[[], dict[str, Edit]]] = {
     ".yaml": yaml_edits,
     **dict.fromkeys((".txt", ".csv"), table_edits),
     ".png": png_edits,
-    **dict.fromkeys((".jpg", ".jpeg"), jpeg_edits),
     ".npy": array_edits,
     **dict.fromkeys(_ARCHIVES, archive_edits),
     ".ply": ply_edits,
     ".usda": usd_edits,
-    **dict.fromkeys((".depth", ".conf"), depth_edits),
 }
 # What must not be read without an error.
 _TWICE, _TO_THE_BASE_OF_60 = "a key given twice", "to the base of 60"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,10 @@ from toolkit.slam.loops.verification import rejection_reason
 
 SUCCESS_M, SUCCESS_DEG = 0.05, 2.0
 HALF = 0.5  # overlap that separates easy from hard pairs
+COLUMNS = (
+    *("overlap >= 50 %", "30-50 %", "median cm", "median deg", "converged", "converged, wrong"),
+    *("passed, wrong", "median s", "of it coarse", "renders", "chi2 / 6"),
+)
 
 
 @dataclass(frozen=True)
@@ -21,37 +26,26 @@ class Trial:
     """The result of one method on one pair.
 
     Attributes:
-        first_s, second_s: seconds of the coarse stage and of what follows it.
         objection: why a loop's verification refuses the result; empty where it does not.
+        first_s, seconds: of the coarse stage, and of all.
         chi2: squared error by the result's own information, six expected.
     """
 
     method: str
-    pair: str
     overlap: float
     error_m: float
     error_deg: float
     converged: bool
     objection: str
     first_s: float
-    second_s: float
+    seconds: float
     renders: int
     chi2: float
 
-    @property
-    def success(self) -> bool:
-        """Within the bounds."""
-        return self.within()
-
     def within(self, truth_error_m: float = 0.0, truth_error_deg: float = 0.0) -> bool:
-        """Within the bounds plus the error of the ground truth."""
+        """Whether it is a success: within the bounds plus the error of the ground truth."""
         near = self.error_m < SUCCESS_M + truth_error_m
         return near and self.error_deg < SUCCESS_DEG + truth_error_deg
-
-    @property
-    def seconds(self) -> float:
-        """Both stages."""
-        return self.first_s + self.second_s
 
 
 def judged(name: str, pair: Pair, timed: Timed) -> Trial:
@@ -68,63 +62,51 @@ def judged(name: str, pair: Pair, timed: Timed) -> Trial:
     tangent = se3.log(error)
     return Trial(
         method=name,
-        pair=pair.name,
         overlap=pair.overlap,
         error_m=float(np.linalg.norm(error[:3, 3])),
         error_deg=float(np.rad2deg(se3.rotation_angle_rad(error[:3, :3]))),
         converged=result.converged,
         objection=rejection_reason(result),
         first_s=timed.first_s,
-        second_s=timed.second_s,
+        seconds=timed.first_s + timed.second_s,
         renders=result.renders,
         chi2=float(tangent @ result.information @ tangent),
     )
 
 
-COLUMNS = (
-    *("overlap >= 50 %", "30-50 %", "median cm", "median deg", "converged", "converged, wrong"),
-    *("passed, wrong", "median s", "of it coarse", "renders", "chi2 / 6"),
-)
-
-
-def tables(trials: list[Trial], truth_error: tuple[float, float]) -> tuple[Table, ...]:
+def tables(trials: Sequence[Trial], truth_error: tuple[float, float]) -> tuple[Table, ...]:
     """A row for each method, and targets."""
     by_method: dict[str, list[Trial]] = {}
     for trial in trials:
         by_method.setdefault(trial.method, []).append(trial)
-    rows = tuple((name, *cells(own)) for name, own in by_method.items())
-    found = [Table(("method", *COLUMNS), rows)]
-    if "SGR" in by_method:
-        found.append(target_table(targets(by_method["SGR"], truth_error)))
-    return tuple(found)
+    rows = tuple((name, *_cells(own)) for name, own in by_method.items())
+    judged_table = target_table(targets(by_method["SGR"], truth_error))
+    return Table(("method", *COLUMNS), rows), judged_table
 
 
-def targets(trials: list[Trial], truth_error: tuple[float, float]) -> list[Target]:
+def targets(trials: Sequence[Trial], truth_error: tuple[float, float]) -> list[Target]:
     """What the default registration should reach, without and with the ground truth's error."""
     found = []
     for error in dict.fromkeys([(0.0, 0.0), truth_error]):
         beyond = f", beyond {100 * error[0]:g} cm and {error[1]:g} degree of truth error"
         suffix = beyond if any(error) else ""
-        right = [t for t in trials if t.within(*error)]
         for name, half, least in (("50 % overlap and more", True, 95), ("30-50 %", False, 80)):
-            chosen = [t for t in trials if (t.overlap >= HALF) == half]
-            share = 100.0 * sum(t in right for t in chosen) / len(chosen) if chosen else None
+            chosen = [t.within(*error) for t in trials if (t.overlap >= HALF) == half]
+            share = 100.0 * float(np.mean(chosen)) if chosen else None
             found.append(Target(f"SGR, success at {name}, %{suffix}", share, at_least=least))
-        passed = [t for t in trials if t not in right and not t.objection]
-        found.append(Target(f"SGR, wrong but verified{suffix}", len(passed), at_most=0))
+        passed = sum(not t.within(*error) and not t.objection for t in trials)
+        found.append(Target(f"SGR, wrong but verified{suffix}", passed, at_most=0))
     return found
 
 
-def cells(trials: list[Trial]) -> list[str]:
-    """Of one method."""
-
+def _cells(trials: Sequence[Trial]) -> list[str]:
     def median(name: str) -> float:
         return float(np.median([getattr(trial, name) for trial in trials]))
 
-    wrong = [trial for trial in trials if trial.converged and not trial.success]
+    wrong = [trial for trial in trials if trial.converged and not trial.within()]
     return [
-        rate([trial for trial in trials if trial.overlap >= HALF]),
-        rate([trial for trial in trials if trial.overlap < HALF]),
+        _rate([trial for trial in trials if trial.overlap >= HALF]),
+        _rate([trial for trial in trials if trial.overlap < HALF]),
         f"{100 * median('error_m'):.2f}",
         f"{median('error_deg'):.3f}",
         f"{sum(trial.converged for trial in trials)}/{len(trials)}",
@@ -137,9 +119,7 @@ def cells(trials: list[Trial]) -> list[str]:
     ]
 
 
-def rate(trials: list[Trial]) -> str:
+def _rate(trials: Sequence[Trial]) -> str:
     """Successes of tries."""
-    if not trials:
-        return "-"
-    good = sum(trial.success for trial in trials)
-    return f"{good}/{len(trials)} ({100 * good / len(trials):.0f} %)"
+    good = sum(trial.within() for trial in trials)
+    return f"{good}/{len(trials)} ({100 * good / len(trials):.0f} %)" if trials else "-"

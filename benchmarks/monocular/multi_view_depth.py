@@ -10,7 +10,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,8 +25,7 @@ from toolkit.splatting.alignment.levels import intensity_of
 Found = TypeVar("Found")
 
 COLUMNS = (
-    *("density_percent", "median_error_percent", "outliers_percent", "edge_density_percent"),
-    *("edge_too_near_percent", "edge_too_far_percent", "within_1_sigma_percent"),
+    *("density_percent", "median_error_percent", "outliers_percent", "within_1_sigma_percent"),
     *("within_2_sigma_percent", "within_1_sigma_unscaled_percent", "inferred_percent"),
     *("inferred_median_error_percent", "inferred_outliers_percent"),
     *("inferred_within_1_sigma_percent", "sweep_ms", "consensus_ms", "completion_ms"),
@@ -46,9 +44,6 @@ ROWS: dict[str, tuple[str, int | None]] = {
     "RedKitchen, estimated poses": ("redkitchen", None),
 }
 _OUTLIER = 0.2
-# Ratio of the depths of neighbouring pixels at an edge, distance of pixels that are beside it, and
-# relative error from which they are on the wrong side.
-_EDGE, _BESIDE_PX, _WRONG_SIDE = 1.1, 8.0, 0.05
 _KEYFRAMES = 6
 # Keyframes on each side that a keyframe is compared with.
 _AROUND = 3
@@ -58,8 +53,7 @@ Depth of {_KEYFRAMES} evenly spaced keyframes, with the poses of the dataset ("t
 to 1-2 cm on RedKitchen and to some centimetres on the HoloLens walk) or those estimated by
 `--depth none`, at the scale that fits the trajectory. Density: fraction of the pixels with true
 depth that have a measured one; its median relative error, and the fraction with an error above
-{_OUTLIER:.0%}. Edge: the density among the pixels within {_BESIDE_PX:.0f} pixels of a depth
-edge, and the fractions of their depth that are more than {_WRONG_SIDE:.0%} too near and too far.
+{_OUTLIER:.0%}.
 Within 1 and 2 sigma: fraction of errors below the estimated standard deviation and below twice
 that, 68 and 95 % if it is right and errors are normal, after the common scale of the keyframe's
 depth has been removed, which all keyframes share and which the deviation cannot contain;
@@ -88,11 +82,7 @@ def measure(job: list[str | int | None], _seed: int) -> Metrics:
         times["consensus_ms"].append(consensus_ms)
         times["completion_ms"].append(completed_ms - consensus_ms - sweep_ms)
         depths.append((found, dataset[views[number].frame].depth_m))
-    return (
-        _quality(depths)
-        | _at_edges(depths)
-        | {name: float(np.median(values)) for name, values in times.items()}
-    )
+    return _quality(depths) | {name: float(np.median(values)) for name, values in times.items()}
 
 
 def _timed(run: Callable[[], Found]) -> tuple[Found, float]:
@@ -132,29 +122,6 @@ def _estimated(dataset: RecordedDataset) -> list[SweptKeyframe]:
         T[:3, 3] *= scale
         views.append(view.scaled(T, scale))
     return views
-
-
-def _at_edges(depths: list[tuple[EstimatedDepth, NDArray[np.float32]]]) -> Metrics:
-    """Depth of the pixels beside edges of the true depth, without its common scale."""
-    beside, known, near, far = 0, 0, 0, 0
-    for found, true in depths:
-        window = np.ones((3, 3), np.uint8)
-        least = cv2.erode(np.where(true > 0, true, np.float32(np.inf)), window)
-        edge = (true > 0) & (cv2.dilate(true, window) > _EDGE * least)
-        distance = cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, 5)
-        chosen = (true > 0) & (distance < _BESIDE_PX)
-        measured = (found.depth > 0) & (true > 0) & ~found.inferred
-        common = np.median(found.depth[measured] / true[measured])
-        error = found.depth[chosen & measured] / true[chosen & measured] / common - 1.0
-        beside += int(chosen.sum())
-        known += len(error)
-        near += int((error < -_WRONG_SIDE).sum())
-        far += int((error > _WRONG_SIDE).sum())
-    return {
-        "edge_density_percent": 100.0 * known / max(beside, 1),
-        "edge_too_near_percent": 100.0 * near / max(known, 1),
-        "edge_too_far_percent": 100.0 * far / max(known, 1),
-    }
 
 
 def _quality(depths: list[tuple[EstimatedDepth, NDArray[np.float32]]]) -> Metrics:

@@ -1,6 +1,6 @@
 """Times the viewer in headless Chromium with software WebGL.
 
-    python -m benchmarks.serving.viewer [--counts 100000 300000 500000] [--repeats 3]
+    python -m benchmarks.serving.viewer
 
 Needs chromium (apt-get install chromium), and playwright from pip.
 """
@@ -12,19 +12,16 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 from playwright.sync_api import sync_playwright
 
-from benchmarks.shared.results_file import RESULTS, Results, current_header
-from benchmarks.shared.runner import publish
-from benchmarks.shared.tables import Metrics, table_of, target_table, targets_of
+from benchmarks.shared.runner import Page
+from benchmarks.shared.tables import Metrics, table_of, targets_of
 from toolkit.base.geometry.camera import Camera
 from toolkit.io.addresses import bind
 from toolkit.semantics.taxonomy import Taxonomy
@@ -39,7 +36,11 @@ FLAGS = (
     "--ignore-gpu-blocklist",
 )
 SIZE = {"width": 1280, "height": 720}
-TARGET_COUNT, TARGET_S = 500_000, 10.0
+COUNTS, TARGET_S = (100_000, 300_000, 500_000), 10.0
+COLUMNS = (
+    *("file MB", "written s", "page drawn s", "turned s", "level s", "server drawn s"),
+    "next state s",
+)
 # A picture is drawn when this share of its middle is brighter than the background, but not white as
 # an empty page.
 DRAWN_SHARE, BACKGROUND, WHITE = 0.25, 40, 250
@@ -52,18 +53,6 @@ view includes sorting and a screenshot, a change of the level the new colours, l
 screenshot. The next state is the time from the next state of a served map, as of a run in progress,
 until a page that shows the one before has drawn it; the page asks for it every second. Medians of
 the repetitions. Software rendering (SwiftShader) on the processor."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Time the viewer."""
-
-    counts: tuple[int, ...] = (100_000, 300_000, TARGET_COUNT)
-    """Numbers of Gaussians."""
-    repeats: int = 3
-    """Repetitions of each measurement."""
-    out: Path = RESULTS
-    """Folder of the results file."""
 
 
 @contextmanager
@@ -82,26 +71,9 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
-def main() -> None:
-    """Measure all numbers of Gaussians."""
-    options = tyro.cli(Options)
-    header = current_header([0], MEASURES)
-    rows: dict[str, list[Metrics]] = {}
-    with chromium() as browser:
-        for count in options.counts:
-            times = [_measure(browser, room(count)) for _ in range(options.repeats)]
-            rows[f"{count:,}"] = list(times)
-    (columns,) = {tuple(runs[0]) for runs in rows.values()}
-    label = f"page of {TARGET_COUNT:,} Gaussians drawn (s)"
-    bound = (label, f"{TARGET_COUNT:,}", "page drawn s", TARGET_S)
-    judged = target_table(targets_of(rows, at_most=[bound]))
-    tables = (table_of(columns, rows, "Gaussians"), judged)
-    publish(Results("viewer", "Viewer in the browser", DESCRIPTION, header, tables), options.out)
-
-
-def room(count: int) -> ViewerScene:
+def room(count: int, seed: int) -> ViewerScene:
     """Return a room whose sides are covered by Gaussians, with three classes."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     size_m = np.array([6.0, 3.0, 5.0])
     areas = np.repeat([size_m[1] * size_m[2], size_m[0] * size_m[2], size_m[0] * size_m[1]], 2)
     side = rng.choice(6, count, p=areas / areas.sum())
@@ -131,26 +103,23 @@ def room(count: int) -> ViewerScene:
     return ViewerScene("room", splats, count, tree=tree, keyframes=(keyframe,), camera=camera)
 
 
-def _measure(browser: Any, scene: ViewerScene) -> Metrics:
-    with tempfile.TemporaryDirectory() as folder:
+def measure(count: int, seed: int) -> Metrics:
+    """Times of a room with a number of Gaussians."""
+    scene = room(count, seed)
+    with chromium() as browser, tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "viewer.html"
         written_s = _seconds(lambda: write_page(file, scene))
         page = browser.new_page(viewport=SIZE, bypass_csp=True)
-        drawn_s = _seconds(lambda: _open(page, file.as_uri()))
-        turned_s = _seconds(lambda: _turn(page))
-        level_s = _seconds(lambda: _change_level(page))
+        times = {
+            "page drawn s": _seconds(lambda: _open(page, file.as_uri())),
+            "turned s": _seconds(lambda: _turn(page)),
+            "level s": _seconds(lambda: _change_level(page)),
+        }
         page.close()
+        server_s, next_s = _measure_server(browser, scene)
         size_mb = file.stat().st_size / 1e6
-    server_drawn_s, next_s = _measure_server(browser, scene)
-    return {
-        "file MB": size_mb,
-        "written s": written_s,
-        "page drawn s": drawn_s,
-        "turned s": turned_s,
-        "level s": level_s,
-        "server drawn s": server_drawn_s,
-        "next state s": next_s,
-    }
+    start = {"file MB": size_mb, "written s": written_s}
+    return start | times | {"server drawn s": server_s, "next state s": next_s}
 
 
 def _measure_server(browser: Any, scene: ViewerScene) -> tuple[float, float]:
@@ -208,5 +177,18 @@ def _seconds(step: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
+_DRAWN = f"page of {COUNTS[-1]:,} Gaussians drawn (s)", f"{COUNTS[-1]:,}", "page drawn s", TARGET_S
+PAGE = Page(
+    "viewer",
+    "Viewer in the browser",
+    DESCRIPTION,
+    {f"{count:,}": count for count in COUNTS},
+    measure,
+    lambda rows: [table_of(COLUMNS, rows, "Gaussians")],
+    lambda rows: targets_of(rows, at_most=[_DRAWN]),
+    seeds=3,
+    measures=MEASURES,
+)
+
 if __name__ == "__main__":
-    main()
+    PAGE.main()

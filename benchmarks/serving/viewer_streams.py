@@ -1,6 +1,6 @@
 """Times the streamed levels of detail of `semsplat view` in headless Chromium with software WebGL.
 
-    python -m benchmarks.serving.viewer_streams [--counts 1000000 10000000]
+    python -m benchmarks.serving.viewer_streams
 
 Needs chromium (apt-get install chromium), and playwright from pip.
 """
@@ -10,21 +10,22 @@ from __future__ import annotations
 import signal
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from benchmarks.serving.viewer import MEASURES, SIZE, chromium
 from benchmarks.shared.programs import start_semsplat_server
-from benchmarks.shared.results_file import RESULTS, Results, current_header
-from benchmarks.shared.runner import publish
-from benchmarks.shared.tables import Metrics, table_of, target_table, targets_of
+from benchmarks.shared.runner import Page
+from benchmarks.shared.tables import Metrics, table_of, targets_of
 from toolkit.io.splats import Splats, write_splat_ply
 
-TARGET_COUNT, TARGET_S = 1_000_000, 3.0
+COUNTS, TARGET_S = (1_000_000, 10_000_000), 3.0
+COLUMNS = (
+    *("file MB", "ready s", "first picture s", "complete s", "sent MB", "close s"),
+    *("page memory MB", "graphics memory MB", "frame ms", "Gaussians in motion"),
+)
 
 # Gaussians of a room, whose walls are 3 m high, and the share of its place that it takes.
 _PER_ROOM, _SHARE = 250_000, 0.97
@@ -41,37 +42,6 @@ is complete again after moving to the middle of one room. Memory is that of the 
 graphics process, which holds textures and renders in software here. Frames are those of a turning
 view in this room after 15 s, when the numbers of Gaussians and of pixels have followed the time per
 frame. Software rendering (SwiftShader) on the processor."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Time streamed maps."""
-
-    counts: tuple[int, ...] = (TARGET_COUNT, 10_000_000)
-    """Numbers of Gaussians."""
-    out: Path = RESULTS
-    """Folder of the results file."""
-
-
-def main() -> None:
-    """Measure all numbers of Gaussians, once each."""
-    options = tyro.cli(Options)
-    header = current_header([0], MEASURES)
-    rows: dict[str, list[Metrics]] = {}
-    with chromium() as browser, tempfile.TemporaryDirectory() as folder:
-        for count in options.counts:
-            file = Path(folder) / "building.ply"
-            write_splat_ply(file, building(count))
-            rows[f"{count:,}"] = [_measure(browser, file)]
-    (columns,) = {tuple(runs[0]) for runs in rows.values()}
-    label = f"first picture of {TARGET_COUNT:,} Gaussians (s)"
-    bound = (label, f"{TARGET_COUNT:,}", "first picture s", TARGET_S)
-    tables = (
-        table_of(columns, rows, "Gaussians"),
-        target_table(targets_of(rows, at_most=[bound])),
-    )
-    title = "Streamed maps in the browser"
-    publish(Results("viewer-streams", title, DESCRIPTION, header, tables), options.out)
 
 
 def building(count: int) -> Splats:
@@ -93,6 +63,14 @@ def building(count: int) -> Splats:
         opacity_logits=rng.uniform(0.0, 3.0, count).astype(np.float32),
         colours=stripes.astype(np.float32),
     )
+
+
+def measure(count: int, _seed: int) -> Metrics:
+    """Times, data and memory of a building with a number of Gaussians."""
+    with chromium() as browser, tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "building.ply"
+        write_splat_ply(file, building(count))
+        return _measure(browser, file)
 
 
 def _measure(browser: Any, file: Path) -> Metrics:
@@ -175,5 +153,17 @@ def _memory_mb(kind: str) -> float:
     return max(sizes)
 
 
+_FIRST = f"first picture of {COUNTS[0]:,} Gaussians (s)", f"{COUNTS[0]:,}"
+PAGE = Page(
+    "viewer-streams",
+    "Streamed maps in the browser",
+    DESCRIPTION,
+    {f"{count:,}": count for count in COUNTS},
+    measure,
+    lambda rows: [table_of(COLUMNS, rows, "Gaussians")],
+    lambda rows: targets_of(rows, at_most=[(*_FIRST, "first picture s", TARGET_S)]),
+    measures=MEASURES,
+)
+
 if __name__ == "__main__":
-    main()
+    PAGE.main()

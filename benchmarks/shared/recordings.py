@@ -47,13 +47,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     **SHORT_ROOMS,
     "room": (),
     "room-noise": ("--sensor-noise",),
-    "room-objects": ("--frames", "120", "--sensor-noise"),
     "room-instances": ("--frames", "90", *_SMALL),
-    "room-walker": ("--walker",),
-    "room-real": ("--real",),
     "room-small": ("--frames", "200", *_SMALL),
-    "room-glossy": ("--frames", "200", *_SMALL, "--glossy"),
-    "room-polished": ("--frames", "200", *_SMALL, "--glossy", "--polish", "0.3"),
     "room-weak": ("--texture", "weak"),
     "room-plain": ("--texture", "plain", "--frames", "200", *_NOISE),
     "room-narrow": ("--fov-deg", "30"),
@@ -70,7 +65,6 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "twins-objects": ("--layout", "twins-objects", "--frames", "450", *_SMALL),
     "twins": ("--layout", "twins", "--frames", "1100", "--sensor-noise"),
     "twins-small": ("--layout", "twins", "--frames", "450", *_SMALL),
-    "rooms": ("--layout", "rooms", "--frames", "600", *_SMALL),
     "orbit": ("--layout", "orbit", "--frames", "300", "--sensor-noise"),
     # A film of objects with a telephone, 720x1280, at the size to which a run reduces it.
     "phone": ("--layout", "orbit", "--frames", "706", "--image-size", "360", "640", *_NOISE),
@@ -82,10 +76,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "hall-fast": ("--layout", "hall", "--frames", "1500", *_TINY),
     # Shelves of small objects of 300 classes.
     "collection": ("--classes", "300", "--frames", "100", "--image-size", "160", "120"),
-    "hall": ("--layout", "hall", "--frames", "2400", *_SMALL),
     "hall-short": ("--layout", "hall", "--frames", "800", *_TINY),
-    "hall-large": ("--layout", "hall", "--frames", "3600", *_NOISE),
-    "long": ("--layout", "long", *_SMALL),
     # Views that do not determine the camera's motion; 6 and 3 cm per frame.
     "corridor": ("--layout", "corridor", *_CORRIDOR),
     "corridor-turns": ("--layout", "corridor-turns", *_CORRIDOR),

@@ -10,8 +10,6 @@ Requires `pip install 'semsplat[cluster]'`.
 from __future__ import annotations
 
 import json
-import os
-import signal
 import sys
 import tempfile
 import time
@@ -38,12 +36,10 @@ Value = TypeVar("Value")
 DESCRIPTION = """\
 `semsplat run-many` executes runs of a walk along a ring of rooms (160x120, sensor noise; the first
 frames) with different seeds on a Ray cluster of this machine, one thread each. Times include the
-start of the cluster, the imports of each process, and the report. One run's worker is killed
-(SIGKILL) in the middle of the run. `semsplat refine` refines the map of a walk through twelve rooms
-along corridors (120x90, sensor noise, 1500 frames unless the command specifies fewer).
-`trajectory.txt`, `map.ply` and `loops.jsonl` of runs, and all files of refined maps, are compared
-byte by byte. Times of tasks are those of one
-process on one thread."""
+start of the cluster, the imports of each process, and the report. `semsplat refine` refines the map
+of a walk through twelve rooms along corridors (120x90, sensor noise, 1500 frames unless the command
+specifies fewer). `trajectory.txt`, `map.ply` and `loops.jsonl` of runs, and all files of refined
+maps, are compared byte by byte. Times of tasks are those of one process on one thread."""
 
 SAME = ("trajectory.txt", "map.ply", "loops.jsonl")
 WORKERS = (1, 2)
@@ -83,7 +79,7 @@ def main() -> int:
 
 
 def measure_runs(options: Options, folder: Path) -> tuple[Table, float]:
-    """Execute the plan on one and two workers and with a killed worker; mean time of a run (s)."""
+    """Execute the plan on one and two workers; mean time of a run (s)."""
     rows, times, whole = [], {}, folder / "workers1"
     for workers in WORKERS:
         plan = _plan(options, folder / f"workers{workers}.yaml")
@@ -92,14 +88,6 @@ def measure_runs(options: Options, folder: Path) -> tuple[Table, float]:
         times[workers] = time.monotonic() - begin
         verdict = _compared(whole, folder / plan.stem, options.runs) if workers > 1 else "-"
         rows.append(_row(f"{workers} worker(s)", times[workers], times[1], plan, options, verdict))
-    plan = _plan(options, folder / "killed.yaml")
-    begin = time.monotonic()
-    program = start_semsplat("run-many", str(plan), "--ray.cpus", str(WORKERS[-1]))
-    _kill_worker(folder / "killed", options.frames // 2)
-    program.wait()
-    verdict = _compared(whole, folder / "killed", options.runs)
-    killed_s = time.monotonic() - begin
-    rows.append(_row("2 workers, one killed", killed_s, times[1], plan, options, verdict))
     titles = ("runs", "time, s", "speed-up", "finished", "processes started", "results")
     run_s = fmean(_run_times(whole))
     return Table(titles, tuple(rows), "Many runs"), run_s
@@ -132,22 +120,6 @@ def _plan(options: Options, path: Path) -> Path:
     }
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path
-
-
-def _kill_worker(out: Path, frame: int) -> None:
-    """Kill the worker of the first run that has a checkpoint at a frame or later."""
-    while True:
-        for path in out.glob("ring/default/*/checkpoint/[01]/metadata.json"):
-            try:
-                reached = json.loads(path.read_text())["next_frame"] >= frame
-            except (OSError, ValueError):
-                continue
-            if reached:
-                run = path.parents[2].name
-                attempts = out / f"logs/ring/default/{run}.attempts.jsonl"
-                os.kill(json.loads(attempts.read_text())["worker_pid"], signal.SIGKILL)
-                return
-        time.sleep(0.05)
 
 
 def _compared(whole: Path, other: Path, runs: int) -> str:

@@ -41,8 +41,9 @@ def test_our_row_is_read_from_the_run_folder(
         (out / "metrics.json").write_text(json.dumps(metrics))
 
     monkeypatch.setattr(compare, "_run", run)
-    dataset = compare.DatasetArguments("tum", Path("somewhere"))
-    arguments = compare.Arguments("", dataset, (320, 240), ours="--tracking.iterations 3")
+    options = ["--dataset.kind", "tum", "--image-size", "320", "240"]
+    monkeypatch.setattr(compare, "sequence_arguments", lambda _: options)
+    arguments = compare.Arguments("fr1_rpy", ours="--tracking.iterations 3")
     figures = compare.our_figures("semsplat-avx2", arguments, tmp_path, 2)
     assert (figures["ate_rmse_cm"], figures["frame_ms"]) == (1.5, 80.0)
     assert figures["peak_memory_mb"] is None
