@@ -20,7 +20,7 @@ from benchmarks.shared.tables import Table
 
 INDEX = RESULTS.parent / "RESULTS.md"
 
-_COLUMNS = ("results", "date", "commit", "later commits")
+_COLUMNS = ("results", "targets met", "date", "commit", "later commits")
 _PREAMBLE = """\
 # Results
 
@@ -50,8 +50,15 @@ def index_table(files: Sequence[Results], title: str) -> Table:
         code = results.header.code
         commit = f"{code.commit or 'unknown'}{' (modified)' if code.modified else ''}"
         link = f"[{results.title}]({RESULTS.name}/{results.name}.md)"
-        rows.append((link, results.header.date, commit, staleness(results)))
+        rows.append((link, _targets(results), results.header.date, commit, staleness(results)))
     return Table(_COLUMNS, tuple(rows), title)
+
+
+def _targets(results: Results) -> str:
+    verdicts = [
+        row[-1] for table in results.tables if table.title == "Targets" for row in table.rows
+    ]
+    return f"{verdicts.count('met')} of {len(verdicts)}" if verdicts else ""
 
 
 def update_index(path: Path = INDEX, folder: Path = RESULTS) -> None:

@@ -250,9 +250,7 @@ def chosen(options: Options, jobs: Mapping[str, Job]) -> tuple[str, ...]:
     rows = dict[str, None]()
     for name in options.only:
         found = [
-            row
-            for row, job in jobs.items()
-            if name in (row, job[1]) or row.startswith(f"{name}: ")
+            row for row, job in jobs.items() if name in (row, job[1]) or row.startswith(f"{name}: ")
         ]
         if not found:
             raise SystemExit(f"--only: no '{name}'; sequences: {', '.join(SEQUENCES)}")

@@ -37,7 +37,7 @@ ROWS = {
     "fr1_rpy": ["fr1_rpy", "--max-frames", "30"],
     "office0": ["office0", "--max-frames", "8"],
     "office0-colour": [
-        *("office0", "--image-size", "300", "170", "--depth", "none", "--max-frames", "30"),
+        *("office0", "--image-size", "300", "170", "--depth", "none", "--max-frames", "30")
     ],
     "ring": ["ring-small"],
 }

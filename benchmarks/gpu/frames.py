@@ -10,20 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.gpu.report import (
-    UNTIMED,
-    Plan,
-    Stopwatch,
-    medians_ms,
-    row,
-    table,
-)
-from benchmarks.gpu.scene import (
-    camera_of,
-    pose_of,
-    trajectory,
-    walk,
-)
+from benchmarks.gpu.report import UNTIMED, Plan, Stopwatch, medians_ms, row, table
+from benchmarks.gpu.scene import camera_of, pose_of, trajectory, walk
 from toolkit.base.exposure import Exposure
 from toolkit.base.frame import Frame
 from toolkit.base.geometry import se3

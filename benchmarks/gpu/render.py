@@ -12,12 +12,7 @@ import torch
 from triton.runtime.errors import OutOfResources, PTXASError
 
 from benchmarks.gpu.report import UNTIMED, Plan, medians_ms, row, table
-from benchmarks.gpu.scene import (
-    camera_of,
-    surface_cloud,
-    touched_pixels,
-    with_ellipsoids,
-)
+from benchmarks.gpu.scene import camera_of, surface_cloud, touched_pixels, with_ellipsoids
 from toolkit.base.errors import DependencyError
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera

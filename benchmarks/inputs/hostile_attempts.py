@@ -8,20 +8,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.inputs.hostile_binary import (
+from benchmarks.inputs.hostile_edits import (
+    Edit,
     archive_edits,
-    array_edits,
     binary_edits,
+    json_edits,
     members,
     png_edits,
-    with_member,
-)
-from benchmarks.inputs.hostile_documents import (
-    Edit,
-    json_edits,
-    ply_edits,
     table_edits,
-    usd_edits,
+    with_member,
     yaml_edits,
 )
 
@@ -31,10 +26,7 @@ _EDITS: Mapping[str, Callable[[], dict[str, Edit]]] = {
     ".yaml": yaml_edits,
     **dict.fromkeys((".txt", ".csv"), table_edits),
     ".png": png_edits,
-    ".npy": array_edits,
     **dict.fromkeys(_ARCHIVES, archive_edits),
-    ".ply": ply_edits,
-    ".usda": usd_edits,
 }
 # What must not be read without an error.
 _TWICE, _TO_THE_BASE_OF_60 = "a key given twice", "to the base of 60"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,49 +90,6 @@ class Kind:
         return self.change.scale
 
 
-def _with_times_in_nanoseconds(folder: Path) -> None:
-    lines = [f"{i:06d} {int(1e18 + i * 1e9 / _FPS)}" for i in range(FRAMES)]
-    (folder / "timestamps.txt").write_text("\n".join(lines))
-    (folder / "trajectory.txt").unlink()
-
-
-def _with_files_of_macos(folder: Path) -> None:
-    for name in ("rgb", "depth"):
-        for file in sorted((folder / name).iterdir()):
-            (folder / name / f"._{file.name}").write_bytes(b"\0\5\x16\7")
-    (folder / "rgb" / ".DS_Store").write_bytes(b"\0\0\0\1Bud1")
-
-
-def _with_byte_order_marks(folder: Path) -> None:
-    for name in ("trajectory.txt", "intrinsics.yaml"):
-        file = folder / name
-        text = file.read_text().replace("\n", "\r\n")
-        file.write_bytes(b"\xef\xbb\xbf" + text.encode())
-
-
-def _as_tum_with_own_camera(folder: Path) -> None:
-    for kind in ("rgb", "depth"):
-        lines = []
-        for file in sorted((folder / kind).iterdir()):
-            lines.append(f"{int(file.stem) / _FPS + 100.0:.6f} {kind}/{file.name}")
-        (folder / f"{kind}.txt").write_text("\n".join(lines))
-    (folder / "trajectory.txt").unlink()
-
-
-def _as_blender(folder: Path) -> None:
-    poses = tiny_room(FRAMES, WIDTH, HEIGHT)[1].T_world_camera
-    values = yaml.safe_load((folder / "intrinsics.yaml").read_text())
-    angle = 2.0 * np.arctan(0.5 * values["width"] / values["fx"])
-    frames = [
-        {"file_path": f"./rgb/{i:06d}", "transform_matrix": (T @ OPENGL).tolist()}
-        for i, T in enumerate(poses)
-    ]
-    content = {"camera_angle_x": float(angle), "frames": frames}
-    (folder / "transforms_train.json").write_text(json.dumps(content))
-    (folder / "intrinsics.yaml").unlink()
-    (folder / "trajectory.txt").unlink()
-
-
 def _every_second(folder: Path) -> None:
     """Images far apart, as photographs for a model of COLMAP."""
     places = range(0, FRAMES, 2)
@@ -145,11 +100,6 @@ def _every_second(folder: Path) -> None:
         (folder / f"rgb/{place:06d}.png").rename(folder / f"rgb/x{number:06d}.png")
     truth = tiny_room(FRAMES, WIDTH, HEIGHT)[1].T_world_camera[list(places)]
     write_tum(folder / "trajectory.txt", Trajectory(np.arange(len(places)) / _FPS, truth))
-
-
-def _as_foreign_splats(folder: Path) -> None:
-    shutil.rmtree(folder / "rgb")
-    (folder / "map.lcc").write_bytes(b"\0" * 4096)
 
 
 def _missing_at_random(share: float) -> RoomChange:
@@ -264,7 +214,6 @@ _PRIORS = (
     *(*_RUN, "--depth", "none", "--depth-prior.use", "correct", "--depth-prior.kind", "maps"),
     *("--depth-prior.maps.folder", "FOLDER/priors", "--depth-prior.maps.values"),
 )
-_CHECK = ("check-data", "--kind", "folder", "--path", "FOLDER")
 
 _POSES = {
     "OpenGL": ("stops, names the axes", lambda T: T @ OPENGL),
@@ -276,8 +225,6 @@ _POSES = {
 _SAME = RoomChange()
 _BLIND = RoomChange(has_depth=False)
 _LONG, _REFINED = _scaled_camera(fx=1.2, fy=1.2), (*_RUN, "--dataset.intrinsics", "refine")
-_TUM = ("run", "--dataset.kind", "tum", "--dataset.path", "FOLDER")
-_NERF = ("check-data", "--kind", "nerfstudio", "--path", "FOLDER")
 _BLACK = RoomChange(
     rgb=lambda rgb, i: rgb * (i >= 4), depth=lambda depth, i: depth * np.uint16(i >= 4)
 )
@@ -300,13 +247,8 @@ KINDS: Mapping[str, Kind] = {
     "given poses jump by 10 cm": Kind("names the frame", _SAME, _with_a_jump, _GIVEN),
     "camera in portrait": Kind(_UP, _turned(1), _turned_camera(1)),
     "camera upside down": Kind(_UP, _turned(2), _turned_camera(2)),
-    "times in nanoseconds": Kind("stops, names the unit", _SAME, _with_times_in_nanoseconds),
     "a scene at 6 cm": Kind("a good map", RoomChange(scale=1 / 25)),
     "a scene at 90 m": Kind("a good map", RoomChange(scale=60.0)),
-    "TUM layout, own camera": Kind("a good map", _SAME, _as_tum_with_own_camera, _TUM),
-    "transforms_train.json of Blender": Kind("read", _SAME, _as_blender, _NERF),
-    "hidden files of macOS": Kind("read", _SAME, _with_files_of_macos, _CHECK),
-    "byte order marks": Kind("read", _SAME, _with_byte_order_marks, _CHECK),
     "four black frames at the start": Kind("a good map of the rest", _BLACK),
     "half of the depth missing at random": Kind("a good map", _missing_at_random(0.5)),
     "5 % of the depth": Kind("a good map", _missing_at_random(0.05)),
@@ -319,8 +261,5 @@ KINDS: Mapping[str, Kind] = {
     ),
     "inverse depth priors, declared as that": Kind(
         "a good map", _BLIND, _with_inverse_priors, (*_PRIORS, "affine-inverse")
-    ),
-    "a splat file of another format": Kind(
-        "stops, names the formats", _SAME, _as_foreign_splats, ("render", "FOLDER/map.lcc")
     ),
 }

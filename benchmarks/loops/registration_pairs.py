@@ -108,10 +108,7 @@ def pool(recording: Recording, generator: np.random.Generator) -> list[Piece]:
 
 
 def piece(
-    recording: Recording,
-    numbers: range,
-    describer: ViewDescriber,
-    generator: np.random.Generator,
+    recording: Recording, numbers: range, describer: ViewDescriber, generator: np.random.Generator
 ) -> Piece:
     """Some frames mapped at their true poses, in an arbitrary coordinate frame."""
     settings = RunSettings()

@@ -10,15 +10,7 @@ from typing import Any
 
 from benchmarks.monocular.runs import DEPTH_VIEWS, OUTLIER, measure
 from benchmarks.shared.runner import Page
-from benchmarks.shared.tables import (
-    Rows,
-    Table,
-    Target,
-    median_of,
-    table_of,
-    worst_of,
-    worst_table,
-)
+from benchmarks.shared.tables import Rows, Table, Target, median_of, table_of, worst_of, worst_table
 
 COLUMNS = (
     *("ate_rmse_cm", "still_cm", "path_m", "trajectory.scale", "rotation_rms_deg", "frames.lost"),

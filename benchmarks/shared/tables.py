@@ -48,12 +48,7 @@ class Table:
         return "\n".join([*lines, *(["", self.note] if self.note else [])])
 
 
-def table_of(
-    columns: Sequence[str],
-    rows: Rows,
-    first_column: str = "",
-    title: str = "",
-) -> Table:
+def table_of(columns: Sequence[str], rows: Rows, first_column: str = "", title: str = "") -> Table:
     """A table of medians: each row has the metrics of one or more runs."""
     cells = [
         (name, *(median_cell([run.get(column) for run in runs]) for column in columns))

@@ -110,10 +110,7 @@ def _plan(options: Options, path: Path) -> Path:
     content = {
         "sequences": {"ring": {"dataset": place, "options": {"max_frames": options.frames}}},
         "settings": {
-            "default": {
-                "preset": options.preset,
-                "options": {"checkpoint": {"every_keyframes": 1}},
-            }
+            "default": {"preset": options.preset, "options": {"checkpoint": {"every_keyframes": 1}}}
         },
         "seeds": list(range(options.runs)),
         "resources": {"threads": 1, "memory_gb": 1.5},

@@ -1,12 +1,20 @@
-"""Documents, tables and scenes in text that are crafted to harm their reader, from valid ones."""
+"""Documents, images and archives that are crafted to harm their reader, from valid ones.
+
+Tests of `io` have more of each container and format of splats.
+"""
 
 from __future__ import annotations
 
 import copy
+import io
 import json
 import random
 import re
+import struct
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from typing import Any
 
 import yaml
@@ -16,6 +24,7 @@ Edit = Callable[[bytes, random.Random], bytes]
 _NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?")
 _TEXT = re.compile(r'"[^"\\]*"(?!\s*:)')
 _NESTING = 100_000
+_WORDS = {"-1": 0xFFFFFFFF, "2^31-1": 0x7FFFFFFF, "-2^31": 0x80000000, "2^24": 2**24, "0": 0}
 # What one value of a document is replaced by.
 _VALUES: Mapping[str, Any] = {
     "null": None,
@@ -97,65 +106,6 @@ def table_edits() -> dict[str, Edit]:
     return edits | _digits() | text_edits()
 
 
-def ply_edits() -> dict[str, Edit]:
-    """Changes of the header of a PLY."""
-
-    def headed(pattern: str, text: str) -> Edit:
-        return lambda content, _: re.sub(pattern.encode(), text.encode(), content, count=1)
-
-    counts = ("1000000000000", "4294967295", "-1", "1e9", "9" * 400, "9" * 6000, "0")
-    edits = {
-        f"{n[:20]} vertices": headed(r"element vertex \d+", f"element vertex {n}") for n in counts
-    }
-    return edits | {
-        "text": headed(r"binary_little_endian", "ascii"),
-        "big-endian": headed(r"binary_little_endian", "binary_big_endian"),
-        "a list": headed(r"property float x", "property list uint float x"),
-        "a property twice": headed(r"property float y", "property float x"),
-        "100,000 properties": lambda content, _: content.replace(
-            b"property float x", b"".join(b"property uchar a%d\n" % k for k in range(100_000))
-        ),
-        "100,000 elements": lambda content, _: content.replace(
-            b"end_header", b"element a 0\n" * 100_000 + b"end_header"
-        ),
-        "a line of 10 MB": headed("comment", "comment " + "a" * 10**7),
-        "no end of the header": headed("end_header", "comment"),
-        "a sequence of the terminal": headed("property float x", "property \x1b[31m\x07 x"),
-    }
-
-
-def usd_edits() -> dict[str, Edit]:
-    """Changes of a USD file in text."""
-    array = "float[] a = [" + "1," * 10**6 + "1]"
-
-    def added(text: str) -> Edit:
-        return lambda content, _: content + text.encode()
-
-    nested = "".join(f'def "a{k}" {{\n' for k in range(20_000)) + "}" * 20_000
-    return {
-        "10^30 prims by references": added(_many_prims(30)),
-        "a reference to a device": added('def "a" (references = @/dev/zero@</b>) {}\n'),
-        "a reference above": added('def "a" (references = @../../../etc/hosts.usda@</b>) {}\n'),
-        "a reference to itself": added('def "a" (references = </a>) {}\n'),
-        "a sublayer outside": lambda content, _: content.replace(
-            b"(", b"(\n    subLayers = [@/etc/passwd.usda@]\n", 1
-        ),
-        "20,000 prims in each other": added(nested),
-        "a million numbers": added(f'def "a" {{ {array} }}\n'),
-        "an unfinished text": added('def "a" { string b = "'),
-        **text_edits(),
-    }
-
-
-def _many_prims(levels: int) -> str:
-    """Prims that each refer ten times to the next one."""
-    parts = []
-    for level in range(levels):
-        inside = "".join(f'  def "r{k}" (references = </n{level + 1}>) {{}}\n' for k in range(10))
-        parts.append(f'def "n{level}" {{\n{inside}}}\n')
-    return "\n" + "".join(parts) + f'def "n{levels}" {{}}\n'
-
-
 def _digits() -> dict[str, Edit]:
     return {
         f"a number of {count} digits": _replaced(_NUMBER, "9" * count, anywhere=True)
@@ -221,3 +171,116 @@ def _with_first_twice(content: bytes, _: random.Random) -> bytes:
 def _with_last_line_twice(content: bytes, _: random.Random) -> bytes:
     lines = [line for line in content.splitlines() if line.strip()]
     return content.rstrip(b"\n") + b"\n" + (lines[-1] if lines else b"") + b"\n"
+
+
+def binary_edits() -> dict[str, Edit]:
+    """Changes of any content."""
+    edits: dict[str, Edit] = {
+        f"{name} for a word of the head": _with_word(value) for name, value in _WORDS.items()
+    }
+    return edits | {
+        "empty": lambda *_: b"",
+        "a byte": lambda *_: b"\0",
+        "1 MB of zeros": lambda *_: bytes(2**20),
+        "1 MB of 255": lambda *_: b"\xff" * 2**20,
+        "noise": lambda _, chance: chance.randbytes(2**16),
+        "half of it": lambda content, _: content[: len(content) // 2],
+        "all but a byte": lambda content, _: content[:-1],
+        "twice": lambda content, _: content * 2,
+        "another format": lambda *_: _zip({"a": b"b"}),
+    }
+
+
+def png_edits() -> dict[str, Edit]:
+    """Changes of PNG images."""
+
+    def headed(values: bytes, offset: int = 0) -> Edit:
+        """Other values in the first chunk, and its checksum corrected."""
+
+        def edit(content: bytes, _: random.Random) -> bytes:
+            body = bytearray(content[16:29])
+            body[offset : offset + len(values)] = values
+            return content[:8] + _chunk(b"IHDR", bytes(body)) + content[33:]
+
+        return edit
+
+    return {
+        "60000x60000 pixels": headed(struct.pack(">II", 60_000, 60_000)),
+        "2^31 pixels wide": headed(struct.pack(">II", 2**31 - 1, 2**31 - 1)),
+        "0x0 pixels": headed(struct.pack(">II", 0, 0)),
+        "64 bits": headed(b"\x40", 8),
+        "palette without colours": headed(b"\x08\x03", 8),
+        "pixels of 1 GB": lambda content, _: content[:33] + _chunk(b"IDAT", _packed_zeros()),
+        "a chunk of 4 GB": lambda content, _: content[:33] + b"\xff\xff\xff\xffIDAT" + content[41:],
+    }
+
+
+def archive_edits() -> dict[str, Edit]:
+    """Changes of zip archives as a whole."""
+
+    def flags(place: int, at: int, value: bytes) -> Edit:
+        # In the local header, and in the list at the end.
+        def edit(content: bytes, _: random.Random) -> bytes:
+            changed = bytearray(content)
+            for magic, offset in ((b"PK\x03\x04", place), (b"PK\x01\x02", at)):
+                start = changed.find(magic)
+                changed[start + offset : start + offset + len(value)] = value
+            return bytes(changed)
+
+        return edit
+
+    many = {f"{k}": b"" for k in range(100_000)}
+    return {
+        "encrypted": flags(6, 8, b"\x01\0"),
+        "method 99": flags(8, 10, b"\x63\0"),
+        "a wrong checksum": flags(14, 16, b"\x12\x34\x56\x78"),
+        "a member of 4 GB declared": flags(22, 24, b"\xfe\xff\xff\xff"),
+        "a name of 64 KB": flags(26, 28, b"\xff\xff"),
+        "zeros of 1 GB in a member": lambda content, _: with_member(
+            content, next(iter(members(content)), "a"), bytes(2**30)
+        ),
+        "paths above": lambda content, _: _zip(members(content) | {"../../a": b"", "/a": b""}),
+        "100,000 members": lambda content, _: _zip(members(content) | many),
+        "no members": lambda *_: _zip({}),
+    }
+
+
+def members(content: bytes) -> dict[str, bytes]:
+    """The members of an archive; empty for other content."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            return {name: archive.read(name) for name in archive.namelist()}
+    except zipfile.BadZipFile:
+        return {}
+
+
+def with_member(content: bytes, name: str, changed: bytes) -> bytes:
+    """An archive with another content of a member."""
+    return _zip(members(content) | {name: changed}, zipfile.ZIP_DEFLATED)
+
+
+def _zip(content: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+@cache
+def _packed_zeros() -> bytes:
+    packer = zlib.compressobj(9)
+    return b"".join(packer.compress(bytes(2**20)) for _ in range(1024)) + packer.flush()
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    checksum = zlib.crc32(kind + content)
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)
+
+
+def _with_word(value: int) -> Edit:
+    def edit(content: bytes, chance: random.Random) -> bytes:
+        place = 4 * chance.randrange(max(1, min(len(content), 160) // 4))
+        return content[:place] + struct.pack("<I", value) + content[place + 4 :]
+
+    return edit
