@@ -13,8 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from benchmarks.inputs import hostile_maps as maps
-from benchmarks.inputs import hostile_recordings as recordings
+from benchmarks.inputs import hostile_writers as writers
 from toolkit.base.errors import ToolkitError
 from toolkit.base.geometry.camera import Camera
 from toolkit.datasets.checks import check_recording
@@ -37,7 +36,7 @@ from toolkit.tools.cli.main import main
 
 Read = Callable[[Path], object]
 _ERROR = re.compile(r"^semsplat: error: ", re.MULTILINE)
-_CAMERA = Camera(30.0, 31.0, 15.5, 11.5, recordings.WIDTH, recordings.HEIGHT)
+_CAMERA = Camera(30.0, 31.0, 15.5, 11.5, writers.WIDTH, writers.HEIGHT)
 _KEYFRAME: Any = SimpleNamespace(index=0, camera=_CAMERA)
 
 
@@ -115,7 +114,7 @@ def _classes(path: Path) -> None:
 
 
 def _shapes(path: Path) -> None:
-    read_shape_table(path).embeddings(maps.CLASSES)
+    read_shape_table(path).embeddings(writers.CLASSES)
 
 
 def _masks(folder: Path) -> None:
@@ -160,24 +159,24 @@ _SPLATS = {
     ),
 }
 SAMPLES: dict[str, Sample] = {
-    "folder": Sample("recordings", recordings.write_folder, dataset("folder")),
-    "nerfstudio": Sample("recordings", recordings.write_nerfstudio, dataset("nerfstudio")),
-    "r3d": Sample("recordings", recordings.write_record3d, dataset("record3d", "walk.r3d")),
-    "colmap": Sample("recordings", recordings.write_colmap, dataset("colmap", needs_depth=False)),
-    "ksplat": Sample("splats", maps.write_ksplat, each({"map.ksplat": read_splats})),
+    "folder": Sample("recordings", writers.write_folder, dataset("folder")),
+    "nerfstudio": Sample("recordings", writers.write_nerfstudio, dataset("nerfstudio")),
+    "r3d": Sample("recordings", writers.write_record3d, dataset("record3d", "walk.r3d")),
+    "colmap": Sample("recordings", writers.write_colmap, dataset("colmap", needs_depth=False)),
+    "ksplat": Sample("splats", writers.write_ksplat, each({"map.ksplat": read_splats})),
     **{
-        name: Sample(area, maps.splat_writer(name), each({name: read_splats}))
+        name: Sample(area, writers.splat_writer(name), each({name: read_splats}))
         for area, names in _SPLATS.items()
         for name in names
     },
-    "class lists": Sample(_CLASSES, maps.write_class_lists, _LISTS),
-    "class names": Sample(_CLASSES, maps.write_class_lists, _REVIEW, 1.0, _MANY, ("names.txt",)),
-    "shapes": Sample(_CLASSES, maps.write_shapes, _TABLES),
-    "masks": Sample(_MASKS, maps.write_masks, _masks),
-    "COCO": Sample(_MASKS, maps.write_coco, _masks),
-    "embeddings": Sample(_MASKS, maps.write_embeddings, each({"objects.npz": read_objects})),
-    "settings": Sample("settings and plans", maps.write_settings, _SETTINGS),
-    "run": Sample(_FOLDERS, maps.write_run, _run, 2.0, files=_RUNS),
-    "checkpoints": Sample(_FOLDERS, maps.write_killed_run, _RESUMED, 0.5, files=_RUNS),
+    "class lists": Sample(_CLASSES, writers.write_class_lists, _LISTS),
+    "class names": Sample(_CLASSES, writers.write_class_lists, _REVIEW, 1.0, _MANY, ("names.txt",)),
+    "shapes": Sample(_CLASSES, writers.write_shapes, _TABLES),
+    "masks": Sample(_MASKS, writers.write_masks, _masks),
+    "COCO": Sample(_MASKS, writers.write_coco, _masks),
+    "embeddings": Sample(_MASKS, writers.write_embeddings, each({"objects.npz": read_objects})),
+    "settings": Sample("settings and plans", writers.write_settings, _SETTINGS),
+    "run": Sample(_FOLDERS, writers.write_run, _run, 2.0, files=_RUNS),
+    "checkpoints": Sample(_FOLDERS, writers.write_killed_run, _RESUMED, 0.5, files=_RUNS),
 }
 AREAS = tuple(dict.fromkeys(sample.area for sample in SAMPLES.values()))

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import tyro
 
-from benchmarks.papers.columns import COLUMNS
-from benchmarks.papers.definitions import TABLES, PaperTable
+from benchmarks.papers.definitions import COLUMNS, TABLES, PaperTable
 from benchmarks.papers.plans import GROUPS
 from benchmarks.papers.runs import Effort, PaperRuns
 from benchmarks.shared.results_file import RESULTS, Results, current_header

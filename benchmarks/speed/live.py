@@ -7,18 +7,22 @@ Run it on an idle machine: the results depend on the time that the machine has f
 
 from __future__ import annotations
 
+import http.client
 import json
+import signal
 import tempfile
-from contextlib import nullcontext
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.shared.programs import semsplat
+from benchmarks.shared.programs import semsplat, start_semsplat_server
 from benchmarks.shared.recordings import sequence_arguments
 from benchmarks.shared.runner import Page
 from benchmarks.shared.tables import Metrics, table_of
-from benchmarks.speed.attached_viewer import attached_viewer
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.runs.evaluation.metrics import flattened, read_metrics
 from toolkit.runs.evaluation.trajectory import absolute_trajectory_error
@@ -59,6 +63,71 @@ of its own, on the same machine; its client receives what the page in a browser 
 nothing. `viewer_updates` counts the states of the growing map that were shown. RedKitchen and
 the synthetic room have 320x240 pixels. Live runs depend on the speed and the load of the machine
 and are not reproducible."""
+
+
+# The page asks every second.
+_POLL_S, _ASK_S = 0.05, 1.0
+# Printed by the viewer when it shows a state of a run in progress.
+_SHOWN, _OF_A_FRAME = "Show ", ", frame "
+
+
+@dataclass
+class ViewerLoad:
+    """What the viewer has shown.
+
+    Attributes:
+        updates: number of states of the run in progress.
+        received_mb: data sent to the client.
+    """
+
+    updates: int = 0
+    received_mb: float = 0.0
+
+
+@contextmanager
+def attached_viewer(run: Path) -> Iterator[ViewerLoad]:
+    """Attach a viewer to a run that starts in the block; what it has shown is complete after it.
+
+    Args:
+        run: the run folder, which need not exist yet.
+    """
+    load, ended = ViewerLoad(), threading.Event()
+    thread = threading.Thread(target=_follow, args=(run, load, ended), name="viewer", daemon=True)
+    thread.start()
+    try:
+        yield load
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _follow(run: Path, load: ViewerLoad, ended: threading.Event) -> None:
+    while not (run / "config.yaml").is_file():
+        if ended.wait(_POLL_S):
+            return
+    server, url = start_semsplat_server("view", str(run), "--live", "--port", "0")
+    try:
+        _receive(url.removeprefix("http://"), load, ended)
+    finally:
+        server.send_signal(signal.SIGINT)
+        messages = server.communicate()[1].splitlines()
+    load.updates = sum(m.startswith(_SHOWN) and _OF_A_FRAME in m for m in messages)
+
+
+def _receive(address: str, load: ViewerLoad, ended: threading.Event) -> None:
+    version = 0
+    while not ended.wait(_ASK_S):
+        state = json.loads(_content(address, "/state"))
+        if state["version"] != version:
+            version = state["version"]
+            load.received_mb += len(_content(address, "/scene")) / 1e6
+
+
+def _content(address: str, path: str) -> bytes:
+    connection = http.client.HTTPConnection(address, timeout=60.0)
+    with closing(connection):
+        connection.request("GET", path)
+        return connection.getresponse().read()
 
 
 def measure(job: list[str], seed: int) -> Metrics:
