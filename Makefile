@@ -58,7 +58,7 @@ test: ready .stamps/emulator .stamps/vulkan .stamps/chromium .stamps/gltf-valida
 
 bench: ready
 	.venv/bin/python -m benchmarks.speed.renderer --out runs/bench
-	.venv/bin/python -m benchmarks.accuracy.compare_open3d room --max-frames 100
+	.venv/bin/python -m benchmarks.accuracy.compare_open3d room --max-frames 100 --out runs/bench
 
 # Continues an interrupted call; QUICK=--quick measures few frames in 15 minutes.
 QUICK ?=

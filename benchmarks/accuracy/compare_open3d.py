@@ -1,13 +1,12 @@
 """semsplat and Open3D on the same frames.
 
     SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.compare_open3d redkitchen
-    python -m benchmarks.accuracy.compare_open3d room --max-frames 100
+    python -m benchmarks.accuracy.compare_open3d room --max-frames 100 --out runs/bench
 
-Results of all frames and rows have a file, others are printed. Each row runs in a process of its
-own: Open3D's dense SLAM (frame-to-model, with its own number of iterations and with more),
-Open3D's frame-to-frame odometry (two methods), `semsplat run`, and the same with AVX2 kernels. With
-`--repeats 3` each row is the median, since Open3D differs from run to run on several threads;
-semsplat then runs with the seeds 0, 1, 2.
+Each row runs in a process of its own: Open3D's dense SLAM (frame-to-model, with its own number of
+iterations and with more), Open3D's frame-to-frame odometry (two methods), `semsplat run`, and the
+same with AVX2 kernels. With `--seeds 3` each row is the median, since Open3D differs from run to
+run on several threads.
 """
 
 from __future__ import annotations
@@ -17,35 +16,29 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
-from typing import Literal, get_args
+from typing import Any
 
 import tyro
 
 from benchmarks.shared.programs import semsplat_command
 from benchmarks.shared.recordings import sequence_arguments
 from benchmarks.shared.repository import ROOT
-from benchmarks.shared.results_file import RESULTS, Results, current_header
-from benchmarks.shared.runner import publish
-from benchmarks.shared.tables import MISSING, Table, Target, target_table
+from benchmarks.shared.results_file import RESULTS
+from benchmarks.shared.runner import Options, Page
+from benchmarks.shared.tables import Metrics, Rows, Table, Target, median_of, table_of
 from toolkit.runs.evaluation.metrics import flattened, read_metrics
 
-RowName = Literal[
-    "dense-slam", "dense-slam-tuned", "odometry", "odometry-planes", "semsplat", "semsplat-avx2"
-]
-Figures = dict[str, float | None]
-
-# Column title, key in a row's figures, metric of semsplat, digits after the point.
+# Title, key in the figures of Open3D, metric of semsplat, digits after the point.
 COLUMNS = (
     ("ATE RMSE cm (SE(3))", "ate_rmse_cm", "trajectory.ate_rmse_cm", 2),
     ("rotation RPE deg", "rpe_rotation_deg", "trajectory.rpe_rotation_deg", 3),
     ("track ms", "track_ms", "time.tracking_ms_per_frame", 1),
     ("integrate or map ms", "integrate_ms", "time.mapping_ms_per_frame", 1),
     ("ray cast ms", "ray_cast_ms", "", 1),
-    ("online ms", "online_ms", "time.online_ms_per_frame", 1),
+    ("online ms", "", "time.online_ms_per_frame", 1),
     ("whole frame ms", "frame_ms", "time.total_ms_per_frame", 1),
     ("peak MB", "peak_memory_mb", "memory.peak_mb", 0),
 )
@@ -71,148 +64,106 @@ those of semsplat are means, since mapping does not run on every frame. Its onli
 wall-clock time of the loop over all frames, with labelling, loop closing, relocalisation and
 waiting for images; its whole frame ("everything") adds the refinement at the end. Targets are
 ratios to the whole frame of Open3D's dense SLAM with its own numbers of iterations."""
+# Open3D ignores depth beyond this, which is its own default; its ray casting can hang.
+_DEPTH_MAX_M, _TIMEOUT_S = 3.0, 1800.0
 
 
-class RowError(Exception):
-    """A row's process failed or ran out of time; the message is one line."""
-
-
-@dataclass(frozen=True)
-class Arguments:
-    """Compare on one sequence.
-
-    Attributes:
-        sequence: redkitchen, redkitchen-native, fr1_rpy, office0, room or room-noise.
-        max_frames: number of frames from the start; all if unset.
-        rows: which methods to run.
-        repeats: runs of each, of which the median is shown.
-        depth_max_m: Open3D ignores depth beyond this (its own default is 3 m).
-        timeout_s: a longer run is stopped, since Open3D's ray casting can hang.
-        ours: further options for `semsplat run`, as one string.
-        out: folder of the results file.
-    """
+@dataclass(frozen=True, kw_only=True)
+class CompareOptions(Options):
+    """Compare on one sequence."""
 
     sequence: tyro.conf.Positional[str]
+    """redkitchen, redkitchen-native, fr1_rpy, office0, room or room-noise."""
     max_frames: int | None = None
-    rows: tuple[RowName, ...] = get_args(RowName)
-    repeats: int = 1
-    depth_max_m: float = 3.0
-    timeout_s: float = 1800.0
-    ours: str = ""
-    out: Path = RESULTS
+    """Number of frames from the start; all if unset."""
 
 
-def rival_figures(name: str, arguments: Arguments, folder: Path, repeat: int) -> Figures:
-    """Run one of Open3D's methods in a child process."""
-    out = folder / f"{name}-{repeat}.json"
-    command = [sys.executable, "-m", "benchmarks.shared.open3d_rivals", "--rival", name]
-    command += ["--out", str(out), "--depth-max-m", str(arguments.depth_max_m)]
-    _run([*command, *_frame_options(arguments)], arguments.timeout_s)
-    return json.loads(out.read_text())
+def measure(job: Mapping[str, Any], seed: int) -> Metrics:
+    """The figures of one method."""
+    method, limit = job["method"], job["max_frames"]
+    options = sequence_arguments(job["sequence"])
+    options += [] if limit is None else ["--max-frames", str(limit)]
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out"
+        if method.startswith("semsplat"):
+            command = semsplat_command("run", "--out", str(out), "--seed", str(seed), *options)
+            run_child(command, {"SEMSPLAT_ISA": "avx2"} if method.endswith("avx2") else {})
+            found = flattened(read_metrics(out / "metrics.json"))
+            figures = {title: found.get(metric) for title, _, metric, _ in COLUMNS}
+        else:
+            command = [sys.executable, "-m", "benchmarks.shared.open3d_rivals", "--rival", method]
+            command += ["--out", str(out), "--depth-max-m", str(_DEPTH_MAX_M), *options]
+            run_child(command)
+            found = json.loads(out.read_text())
+            figures = {title: found.get(key) for title, key, *_ in COLUMNS}
+    digits = {title: count for title, *_, count in COLUMNS}
+    return {k: None if v is None else round(v, digits[k]) for k, v in figures.items()}
 
 
-def our_figures(name: str, arguments: Arguments, folder: Path, repeat: int) -> Figures:
-    """Run `semsplat run` in a child process and read its metrics.json."""
-    out = folder / f"{name}-{repeat}"
-    command = semsplat_command("run", "--out", str(out), "--seed", str(repeat))
-    command += [*_frame_options(arguments), *arguments.ours.split()]
-    _run(command, arguments.timeout_s, {"SEMSPLAT_ISA": "avx2"} if name.endswith("avx2") else {})
-    metrics = flattened(read_metrics(out / "metrics.json"))
-    return {key: metrics.get(metric) for _, key, metric, _ in COLUMNS}
-
-
-def comparison_table(rows: Mapping[str, Figures]) -> Table:
-    """A row for each method; a metric that does not exist reads n/a."""
-    cells = [
-        (title, *(_cell(figures.get(key), digits) for _, key, _, digits in COLUMNS))
-        for title, figures in rows.items()
-    ]
-    return Table(("method", *(title for title, *_ in COLUMNS)), tuple(cells))
-
-
-def targets(rows: Mapping[str, Figures], sequence: str) -> list[Target]:
-    """What semsplat's time per frame should be, relative to Open3D's dense SLAM."""
-    whole = rows.get(TITLES["dense-slam"], {}).get("frame_ms")
-    found = []
-    for name, suffix in (("semsplat", ""), ("semsplat-avx2", ", AVX2")):
-        figures = rows.get(TITLES[name], {})
-        keys = (("online", "online_ms"), ("everything", "frame_ms"))
-        for (what, key), bar in zip(keys, TARGETS.get(sequence, ()), strict=False):
-            value = figures.get(key)
-            if value is not None and whole:
-                found.append(Target(f"{what}{suffix}", value / whole, at_most=bar))
-    return found
-
-
-def median_figures(runs: list[Figures]) -> Figures:
-    """The median of each figure over runs, None where no run has it."""
-    medians: Figures = {}
-    for _, key, *_ in COLUMNS:
-        found = [value for run in runs if (value := run.get(key)) is not None]
-        medians[key] = median(found) if found else None
-    return medians
-
-
-def _frame_options(arguments: Arguments) -> list[str]:
-    few = arguments.max_frames
-    limit = [] if few is None else ["--max-frames", str(few)]
-    return [*sequence_arguments(arguments.sequence), *limit]
-
-
-def _run(command: list[str], timeout_s: float, variables: Mapping[str, str] | None = None) -> None:
+def run_child(
+    command: list[str],
+    variables: Mapping[str, str] | None = None,
+    timeout_s: float = _TIMEOUT_S,
+) -> None:
     """Run a child to its end.
 
     Args:
         variables: additional environment variables.
 
     Raises:
-        RowError: it failed, or was stopped because it ran out of time.
+        SystemExit: it failed, or was stopped because it ran out of time.
     """
     python_path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     environment = {**os.environ, **(variables or {}), "PYTHONPATH": python_path}
+    given: dict[str, Any] = {"env": environment, "timeout": timeout_s}
     try:
-        done = subprocess.run(
-            command, env=environment, timeout=timeout_s, capture_output=True, text=True
-        )
+        done = subprocess.run(command, **given, capture_output=True, text=True, check=False)
     except subprocess.TimeoutExpired as error:
-        raise RowError(f"stopped after {timeout_s:.0f} s") from error
+        raise SystemExit(f"stopped after {timeout_s:.0f} s") from error
     if done.returncode != 0:
         last = (done.stderr.strip() or done.stdout.strip() or "no output").splitlines()[-1]
-        raise RowError(f"exit code {done.returncode}: {last}")
+        raise SystemExit(f"exit code {done.returncode}: {last}")
 
 
-def _cell(value: float | None, digits: int) -> str:
-    return MISSING if value is None else f"{value:.{digits}f}"
+def targets(rows: Rows, sequence: str) -> list[Target]:
+    """What semsplat's time per frame should be, relative to Open3D's dense SLAM."""
+    median, found = median_of(rows), []
+    whole = median(TITLES["dense-slam"], "whole frame ms")
+    for name, suffix in (("semsplat", ""), ("semsplat-avx2", ", AVX2")):
+        keys = (("online", "online ms"), ("everything", "whole frame ms"))
+        for (what, key), bar in zip(keys, TARGETS.get(sequence, ()), strict=False):
+            value = median(TITLES[name], key)
+            if value is not None and whole:
+                found.append(Target(f"{what}{suffix}", value / whole, at_most=bar))
+    return found
 
 
-def main(arguments: Arguments) -> int:
-    """Run every row; 1 where a row failed."""
-    header = current_header(range(arguments.repeats))
-    rows: dict[str, Figures] = {}
-    with tempfile.TemporaryDirectory() as temporary:
-        for name in arguments.rows:
-            figures: Callable[..., Figures] = (
-                our_figures if name.startswith("semsplat") else rival_figures
-            )
-            repeats = range(arguments.repeats)
-            try:
-                runs = [figures(name, arguments, Path(temporary), i) for i in repeats]
-                rows[TITLES[name]] = median_figures(runs)
-            except RowError as error:
-                print(f"{name}: {error}", file=sys.stderr)
-                rows[f"{TITLES[name]}: failed"] = {}
-    judged = targets(rows, arguments.sequence)
-    tables = (comparison_table(rows), *([target_table(judged)] if judged else []))
-    title = f"Open3D and semsplat on {arguments.sequence}"
-    results = Results(f"open3d-{arguments.sequence}", title, NOTE, header, tables)
-    failed = any(title.endswith("failed") for title in rows)
-    everything = arguments.rows == get_args(RowName) and arguments.max_frames is None
-    if everything and not failed:
-        publish(results, arguments.out)
-    else:
-        print(results.markdown())
-    return int(failed)
+def table(rows: Rows) -> Table:
+    """A row for each method; a figure that does not exist reads n/a."""
+    return table_of([title for title, *_ in COLUMNS], rows, "method")
+
+
+def main() -> None:
+    """Compare on one sequence."""
+    options = tyro.cli(CompareOptions)
+    sequence, limit = options.sequence, options.max_frames
+    if limit is not None and options.out.resolve() == RESULTS:
+        raise SystemExit("--max-frames changes what is measured; give --out")
+    jobs = {
+        title: {"sequence": sequence, "method": method, "max_frames": limit}
+        for method, title in TITLES.items()
+    }
+    page: Page[Mapping[str, Any]] = Page(
+        f"open3d-{sequence}",
+        f"Open3D and semsplat on {sequence}",
+        NOTE,
+        jobs,
+        measure,
+        lambda rows: [table(rows)],
+        lambda rows: targets(rows, sequence),
+    )
+    page.write(options)
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Arguments)))
+    main()
