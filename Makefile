@@ -57,29 +57,27 @@ $(DEMO_ROOM)/unseen/cam_params.json: | ready
 test: ready .stamps/emulator .stamps/vulkan .stamps/chromium .stamps/gltf-validator .stamps/wheel-tools
 	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
 
-bench: ready $(DEMO_ROOM)/unseen/cam_params.json
-	.venv/bin/python -m benchmarks.renderer --out runs/bench
-	.venv/bin/python -m benchmarks.compare_open3d --dataset.kind synthetic \
-		--dataset.path $(DEMO_ROOM) --max-frames 100
+bench: ready
+	.venv/bin/python -m benchmarks.speed.renderer --out runs/bench
+	.venv/bin/python -m benchmarks.accuracy.compare_open3d room --max-frames 100 --out runs/bench
 
 # Continues an interrupted call; QUICK=--quick measures few frames in 15 minutes.
 QUICK ?=
 tables: ready
-	.venv/bin/python -m benchmarks.paper_tables $(QUICK)
+	.venv/bin/python -m benchmarks.papers.tables $(QUICK)
 ifndef QUICK
-	.venv/bin/python -m benchmarks.prior_tracking
-	.venv/bin/python -m benchmarks.trees --table room
-	.venv/bin/python -m benchmarks.many_classes
-	.venv/bin/python -m benchmarks.critic
+	.venv/bin/python -m benchmarks.monocular.prior_tracking
+	.venv/bin/python -m benchmarks.semantics.trees room
+	.venv/bin/python -m benchmarks.semantics.trees many-classes
 endif
 
 # Everything that README quotes but `make tables` and the registration of submaps.
 figures: ready
-	.venv/bin/python -m benchmarks.sequences
-	.venv/bin/python -m benchmarks.semantics quality
-	.venv/bin/python -m benchmarks.semantics room
+	.venv/bin/python -m benchmarks.accuracy.sequences
+	.venv/bin/python -m benchmarks.semantics.codes quality
+	.venv/bin/python -m benchmarks.semantics.codes room
 	for recording in redkitchen fr1_rpy office0; do \
-		.venv/bin/python -m benchmarks.compare_open3d $$recording || exit; done
+		.venv/bin/python -m benchmarks.accuracy.compare_open3d $$recording || exit; done
 	.venv/bin/python -m benchmarks.stale --write
 	.venv/bin/python -m benchmarks.readme_figures
 

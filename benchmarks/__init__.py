@@ -1,1 +1,1 @@
-"""Benchmarks of the toolkit: run each with `python -m benchmarks.NAME` from the repository root."""
+"""Benchmarks of the toolkit by subject; README.md lists them."""

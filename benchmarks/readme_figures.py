@@ -8,17 +8,18 @@ The markers are `<!-- figures -->` and `<!-- /figures -->`.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import textwrap
 from pathlib import Path
 
-from benchmarks import sequences
-from benchmarks.compare_open3d import TITLES
-from benchmarks.paper_plans import REAL_FRAMES
-from benchmarks.repository import ROOT
-from benchmarks.results_file import RESULTS, Results, read_results
-from benchmarks.tables import MISSING, Table
+import tyro
+
+from benchmarks.accuracy import sequences
+from benchmarks.accuracy.compare_open3d import TITLES
+from benchmarks.papers.plans import REAL_FRAMES
+from benchmarks.shared.repository import ROOT
+from benchmarks.shared.results_file import RESULTS, Results, read_results
+from benchmarks.shared.tables import MISSING, Table
 
 README = ROOT / "README.md"
 BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
@@ -245,20 +246,19 @@ def filled(readme: str, figures: str) -> str:
     return f"{before}{BEGIN}\n{figures}\n{END}{after}"
 
 
-def main() -> int:
-    """Fill README's figures or check them."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--check", action="store_true", help="change nothing")
-    arguments = parser.parse_args()
+def main(check: bool = False) -> int:
+    """Fill README's figures.
+
+    Args:
+        check: change nothing; exit with 1 if README differs from the results.
+    """
     before = README.read_text(encoding="utf-8")
     after = filled(before, readme_figures())
-    if arguments.check:
+    if check:
         return int(after != before)
     README.write_text(after, encoding="utf-8")
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(tyro.cli(main))

@@ -9,25 +9,26 @@ under "measures". Not every such commit changes results; this can only be found 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.repository import commits_since
-from benchmarks.results_file import RESULTS, Results, read_all
-from benchmarks.tables import Table
+import tyro
+
+from benchmarks.shared.repository import commits_since
+from benchmarks.shared.results_file import RESULTS, Results, read_all
+from benchmarks.shared.tables import Table
 
 INDEX = RESULTS.parent / "RESULTS.md"
 
-_COLUMNS = ("results", "date", "commit", "later commits")
+_COLUMNS = ("results", "targets met", "date", "commit", "later commits")
 _PREAMBLE = """\
 # Results
 
-One file for each benchmark, with the conditions in its header: commit, command, machine,
-instruction set, threads and seeds. Times are comparable within a file, not between files.
-"Later commits" counts those that changed the measured code between the measurement and the last
-update of this page; `python -m benchmarks.stale` prints the current numbers. How to run the
-benchmarks is in [README.md](README.md).
+By subject; each file has the conditions in its header: commit, command, machine, instruction set,
+threads and seeds. Times are comparable within a file, not between files. "Later commits" counts
+those that changed the measured code between the measurement and the last update of this page;
+`python -m benchmarks.stale` prints the current numbers. How to run the benchmarks is in
+[README.md](README.md).
 """
 
 
@@ -37,41 +38,54 @@ def staleness(results: Results) -> str:
     return "unknown" if count is None else str(count)
 
 
-def index_table(files: Sequence[Results]) -> Table:
+def subject(results: Results) -> str:
+    """The folder of the benchmark, from the command `python -m benchmarks.SUBJECT.NAME`."""
+    return results.header.command.split("benchmarks.")[1].split()[0].partition(".")[0]
+
+
+def index_table(files: Sequence[Results], title: str) -> Table:
     """A row for each file of results."""
     rows = []
     for results in files:
         code = results.header.code
         commit = f"{code.commit or 'unknown'}{' (modified)' if code.modified else ''}"
         link = f"[{results.title}]({RESULTS.name}/{results.name}.md)"
-        rows.append((link, results.header.date, commit, staleness(results)))
-    return Table(_COLUMNS, tuple(rows))
+        rows.append((link, _targets(results), results.header.date, commit, staleness(results)))
+    return Table(_COLUMNS, tuple(rows), title)
+
+
+def _targets(results: Results) -> str:
+    verdicts = [
+        row[-1] for table in results.tables if table.title == "Targets" for row in table.rows
+    ]
+    return f"{verdicts.count('met')} of {len(verdicts)}" if verdicts else ""
 
 
 def update_index(path: Path = INDEX, folder: Path = RESULTS) -> None:
     """Write the index of all files of results."""
-    path.write_text(f"{_PREAMBLE}\n{index_table(read_all(folder)).markdown()}\n", encoding="utf-8")
+    by_subject: dict[str, list[Results]] = {}
+    for results in read_all(folder):
+        by_subject.setdefault(subject(results), []).append(results)
+    tables = [index_table(files, name).markdown() for name, files in sorted(by_subject.items())]
+    path.write_text("\n\n".join([_PREAMBLE.strip(), *tables]) + "\n", encoding="utf-8")
 
 
-def main() -> None:
-    """Print the stale results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--write", action="store_true", help="update benchmarks/RESULTS.md")
-    arguments = parser.parse_args()
-    stale = 0
-    for results in read_all():
-        count = staleness(results)
-        if count != "0":
-            stale += 1
-            commit, date = results.header.code.commit, results.header.date
-            print(f"{results.name}: measured on {date} at {commit}, later commits: {count}")
-            print(f"    {results.header.command}")
-    print(f"{stale} of {len(read_all())} files of results are stale")
-    if arguments.write:
+def main(write: bool = False) -> None:
+    """Print the stale results.
+
+    Args:
+        write: update benchmarks/RESULTS.md.
+    """
+    files = read_all()
+    stale = [(results, count) for results in files if (count := staleness(results)) != "0"]
+    for results, count in stale:
+        commit, date = results.header.code.commit, results.header.date
+        print(f"{results.name}: measured on {date} at {commit}, later commits: {count}")
+        print(f"    {results.header.command}")
+    print(f"{len(stale)} of {len(files)} files of results are stale")
+    if write:
         update_index()
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main)

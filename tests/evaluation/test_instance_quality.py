@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.instance_quality import instance_scores
+from benchmarks.semantics.instance_quality import instance_scores
 
 TRUTH = np.repeat([1, 2, 3], 100)
 

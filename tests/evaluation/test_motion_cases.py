@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.motion_cases import (
+from benchmarks.accuracy.motion_cases import (
     CASES,
     INTERRUPTIONS,
     CaseDataset,

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.motion_errors import motion_errors, path_m, rotation_rms_deg, scale_drift_percent
+from benchmarks.monocular.motion_errors import (
+    motion_errors,
+    path_m,
+    rotation_rms_deg,
+    scale_drift_percent,
+)
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.trajectory import Trajectory
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.silent_errors import (
+from benchmarks.accuracy.silent_errors import (
     Estimate,
     TruthError,
     in_wrong_part,

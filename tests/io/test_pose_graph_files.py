@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pose_graph_files import PoseGraphArrays, read_pose_graph
 
-from benchmarks.pose_graph_files import PoseGraphArrays, read_pose_graph
 from toolkit.base.errors import DatasetError, FormatError
 from toolkit.base.geometry import se3
 from toolkit.io.covariances import read_covariances, write_covariances

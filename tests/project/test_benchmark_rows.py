@@ -8,23 +8,12 @@ import pytest
 import tyro
 import yaml
 
-from benchmarks import (
-    live,
-    loops,
-    pace,
-    paper_columns,
-    paper_definitions,
-    paper_plans,
-    paper_runs,
-    paper_tables,
-    real_room,
-    recordings,
-    ring,
-    semantics,
-    sequences,
-    trainer_runs,
-    trainers,
-)
+from benchmarks.accuracy import presets, sequences
+from benchmarks.loops import detection, ring
+from benchmarks.papers import columns, definitions, plans, runs
+from benchmarks.semantics import codes
+from benchmarks.shared import recordings
+from benchmarks.speed import live, pace
 from toolkit.base.options import validated
 from toolkit.runs.batch.plan import load_plan
 from toolkit.runs.settings import RunSettings
@@ -32,45 +21,37 @@ from toolkit.tools.cli import live as live_program
 from toolkit.tools.cli import run as run_program
 
 SETTINGS: dict[str, dict[str, Any]] = {
-    **{
-        f"ring {table}: {name}": row.settings
-        for table, (_, rows) in ring.TABLES.items()
-        for name, row in rows.items()
-    },
-    **{f"loops: {name}": {"loops": values} for name, values in loops.ROWS.items()},
-    **{f"real room: {name}": row.settings for name, row in real_room.ROWS.items()},
+    **{f"ring: {name}": row["settings"] for name, row in ring.ROWS.items()},
+    **{f"loops: {name}": {"loops": values} for name, values in detection.ROWS.items()},
 }
 COMMANDS = [
     *sequences.ROWS.values(),
     *pace.ROWS.values(),
-    *(row for table in semantics.PARTS.values() for row in table.rows.values()),
-    *([*case.row, *trainer_runs.our_options("ellipsoids")] for case in trainers.CASES.values()),
+    *presets.ROWS.values(),
+    *(row for rows in codes.ROWS.values() for row in rows.values()),
 ]
 
 
-@pytest.mark.parametrize("name", paper_plans.GROUPS)
+@pytest.mark.parametrize("name", plans.GROUPS)
 def test_plans_of_the_papers_tables_are_valid(name: str, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("SEMSPLAT_DATA", str(tmp_path))
     for recording in recordings.RECORDINGS.values():
         (tmp_path / recording.folder).mkdir(parents=True, exist_ok=True)
-    monkeypatch.setattr(paper_runs, "room", lambda name, seed: tmp_path / f"{name}-{seed}")
-    group = paper_plans.GROUPS[name]
+    monkeypatch.setattr(runs, "room", lambda name, seed: tmp_path / f"{name}-{seed}")
+    group = plans.GROUPS[name]
     for quick in (False, True):
         path = tmp_path / "plan.yaml"
-        path.write_text(yaml.safe_dump(group.plan(paper_runs.Effort(quick, 1 if quick else 5))))
-        runs = load_plan(path).runs
-        sequences, seeds = (1, 1) if quick else (len(group.sequences), group.seeds)
-        assert len(runs) == sequences * seeds * len(group.settings)
+        path.write_text(yaml.safe_dump(group.plan(runs.Effort(quick, 1 if quick else 5))))
+        planned = load_plan(path).runs
+        places, seeds = (1, 1) if quick else (len(group.sequences), group.seeds)
+        assert len(planned) == places * seeds * len(group.settings)
 
 
 def test_rows_of_the_papers_tables_have_runs_and_columns() -> None:
-    for table in paper_definitions.TABLES:
-        if isinstance(table, paper_definitions.FunctionTable):
-            assert table.kind in paper_tables.MEASURES and set(table.paper) <= set(table.rows)
-            continue
-        assert set(table.columns) <= set(paper_columns.COLUMNS)
+    for table in definitions.TABLES:
+        assert set(table.columns) <= set(columns.COLUMNS)
         for row in table.rows.values():
-            group = paper_plans.GROUPS[row.group]
+            group = plans.GROUPS[row.group]
             assert row.settings in group.settings
             assert any(name.startswith(row.sequence or "") for name in group.sequences)
 
@@ -113,8 +94,6 @@ def test_options_of_live_rows_are_those_of_live(row: list[str]) -> None:
 def test_sequences_of_rows_are_known() -> None:
     known = {*recordings.RECORDINGS, *recordings.ROOMS}
     assert {row[0] for row in COMMANDS} <= known
-    assert {row.room for _, rows in ring.TABLES.values() for row in rows.values()} <= known
-    assert {row.room for row in real_room.ROWS.values()} <= known
 
 
 @pytest.mark.parametrize("name", recordings.ROOMS)

@@ -138,7 +138,9 @@ def parse_job(words: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
 def parse_module(name: str, words: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
     if name in ("pytest", "pip", "venv"):
         return
-    assert (ROOT / name.replace(".", "/")).with_suffix(".py").is_file(), f"no module {name}"
+    place = ROOT / name.replace(".", "/")
+    program = place / "__main__.py" if place.is_dir() else place.with_suffix(".py")
+    assert program.is_file(), f"no module {name}"
     monkeypatch.syspath_prepend(str(ROOT))
     monkeypatch.setattr(sys, "argv", [name, *words])
     monkeypatch.setattr(tyro, "cli", stop_after(tyro.cli))

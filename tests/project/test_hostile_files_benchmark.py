@@ -1,4 +1,4 @@
-"""How `benchmarks.hostile_files` makes files, and judges what readers do with them."""
+"""How `benchmarks.inputs.hostile_files` makes files, and judges what readers do with them."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import hostile_worker
-from benchmarks.hostile_attempts import crafted, mutated
-from benchmarks.hostile_files import by_cause, counted
-from benchmarks.hostile_samples import SAMPLES
-from benchmarks.hostile_worker import Limited, limited, message_fault
+from benchmarks.inputs import hostile_limits
+from benchmarks.inputs.hostile_attempts import crafted, mutated
+from benchmarks.inputs.hostile_files import by_cause, counted
+from benchmarks.inputs.hostile_limits import Limited, limited, message_fault
+from benchmarks.inputs.hostile_samples import SAMPLES
 from toolkit.base.errors import FormatError, ToolkitError
 
-_QUICK = ("class lists", "settings", "COCO", "masks", "shapes", "embeddings", ".splat", "ksplat")
+_QUICK = ("class lists", "settings", "COCO", "masks", "shapes", "embeddings", "map.splat", "ksplat")
 
 _SLOW = ("300,000 keys", "many lines", "a list of a million", "100,000 times")
 
@@ -90,14 +90,14 @@ def _end() -> None:
 
 
 def test_what_a_reader_does_is_told_apart(monkeypatch):
-    monkeypatch.setattr(hostile_worker, "MAX_BYTES", 2**26)
+    monkeypatch.setattr(hostile_limits, "MAX_BYTES", 2**26)
     assert limited(lambda: None).fault == limited(lambda: None).message == ""
     assert limited(_refuse).message == "a.txt is damaged; write it again"
     assert limited(_raise).fault.startswith("OverflowError in test_hostile")
     assert limited(_use_memory).fault == limited(_use_addresses).fault == "more than 2 GB"
     assert limited(_end).fault == "signal SIGSEGV"
     assert isinstance(limited(_refuse), Limited)
-    monkeypatch.setattr(hostile_worker, "MAX_S", 0.3)
+    monkeypatch.setattr(hostile_limits, "MAX_S", 0.3)
     assert limited(lambda: time.sleep(5)).fault == "more than 0 s"
 
 
@@ -117,12 +117,11 @@ def test_messages_are_judged(message: str, fault: str):
 
 def test_the_table_counts_what_passed():
     failure = {"sample": "folder", "attempt": "x", "fault": "a hang"}
-    before = {"attempts": 9, "failures": [failure, failure], "longest_s": 25.0, "largest_mb": 3}
-    now = {"attempts": 9, "failures": [], "longest_s": 0.4, "largest_mb": 2}
-    rows = {"recordings: folder": {"before": before, "now": now}}
-    table = counted(rows)
-    assert table.cell("all", "attempts") == "9"
-    assert table.cell("all", "failed before") == "2"
-    assert table.cell("all", "passed now") == "9"
-    assert by_cause(rows, "before").cell("a hang", "failures") == "2"
-    assert by_cause(rows, "now").note == "None."
+    run = {"attempts": 9, "failures": [failure, failure], "longest_s": 25.0, "largest_mb": 3}
+    good = {"attempts": 9, "failures": [], "longest_s": 0.4, "largest_mb": 2}
+    table = counted({"recordings: folder": [run], "splats": [good]})
+    assert table.cell("all", "attempts") == "18"
+    assert table.cell("all", "failed") == "2"
+    assert table.cell("splats", "passed") == "9"
+    assert by_cause({"recordings: folder": [run]}).cell("a hang", "failures") == "2"
+    assert by_cause({"splats": [good]}).note == "None."

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import Mutant, mutants
-from benchmarks.mutations import Options, sample
+from benchmarks.code.mutants import Mutant, mutants
+from benchmarks.code.mutations import Options, sample
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.relation_truth import TrueRelations
+from benchmarks.semantics.relation_truth import TrueRelations
 
 FLOOR, SOFA, CUSHION, TABLE, VASE, SHELF, BOOKS = 3, 18, 19, 22, 23, 39, 40
 

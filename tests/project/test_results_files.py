@@ -9,17 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import readme_figures, report, repository, stale
-from benchmarks.compare_open3d import TITLES
-from benchmarks.report import Report, ReportOptions, RunStore
-from benchmarks.repository import CodeVersion, commits_since
-from benchmarks.results_file import RESULTS, Header, Results, read_all, read_results
-from benchmarks.tables import Table, Target, median_cell, table_of, target_table
+from benchmarks import readme_figures, stale
+from benchmarks.accuracy.compare_open3d import TITLES
+from benchmarks.shared import repository, runner
+from benchmarks.shared.repository import CodeVersion, commits_since
+from benchmarks.shared.results_file import RESULTS, Header, Results, read_all, read_results
+from benchmarks.shared.runner import Report, ReportOptions, RunStore
+from benchmarks.shared.tables import Table, Target, median_cell, table_of, target_table
 
 HEADER = Header(
     date="2026-01-02",
     code=CodeVersion("0123456789", "2026-01-01", modified=True),
-    command="python -m benchmarks.sequences --only 'a | b'",
+    command="python -m benchmarks.accuracy.sequences --only 'a | b'",
     machine="a CPU, 2 cores; load 0.1",
     instruction_set="avx2",
     threads="2",
@@ -123,8 +124,8 @@ def test_uncommitted_changes_are_noted(history: list[str]) -> None:
 def code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """What stands for the hash of the sources; runs are stored in a temporary folder."""
     versions = {"digest": "one"}
-    monkeypatch.setattr(report, "WORK", tmp_path / "work")
-    monkeypatch.setattr(report, "source_digest", lambda: versions["digest"])
+    monkeypatch.setattr(runner, "WORK", tmp_path / "work")
+    monkeypatch.setattr(runner, "source_digest", lambda: versions["digest"])
     return versions
 
 
@@ -171,7 +172,7 @@ def test_runs_of_other_machines_are_not_found(
     path = tmp_path / "store.jsonl"
     RunStore(path).add(["job", 0], {"value": 1})
     assert RunStore(path).find(["job", 0]) == {"value": 1}
-    monkeypatch.setattr(report, "machine_identity", lambda: "another CPU")
+    monkeypatch.setattr(runner, "machine_identity", lambda: "another CPU")
     assert RunStore(path).find(["job", 0]) is None
 
 

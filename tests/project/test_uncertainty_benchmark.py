@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from benchmarks.uncertainty import Compared, TruthError, compare
+from benchmarks.accuracy.uncertainty import Compared, TruthError, compare
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.trajectory import Trajectory
 

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from malformed_requests import malformed_requests
 
-from benchmarks.malformed_requests import malformed_requests
 from toolkit.base.geometry import se3
 from toolkit.io.trajectories import read_tum
 from toolkit.runs.maps.finished import load_run

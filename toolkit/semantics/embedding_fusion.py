@@ -68,7 +68,7 @@ def view_weights(
     The weight is the score times the fourth root of the product of the area relative to
     `full_area_px`, beyond which more pixels add no detail that an encoder sees, and of
     `full_distance_m` over the distance, at most 1. Without the root, one near view would outweigh
-    all others, and an object would be lost if that view is wrong (`benchmarks/retrieval.py`).
+    all others, and an object would be lost if that view is wrong.
 
     Args:
         areas_px: [V] visible area of the object, in pixels.

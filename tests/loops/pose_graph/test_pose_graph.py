@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pose_graph_files import PoseGraphArrays, graph_of, poses_along
 from walks import LOOP, walk
 
-from benchmarks.pose_graph_files import PoseGraphArrays, graph_of, poses_along
 from toolkit.base.geometry import se3
 from toolkit.base.pose_graph.graph import (
     PoseEdge,

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pose_graph_files import graph_of, read_pose_graph
 from walks import walk
 
-from benchmarks.pose_graph_files import graph_of, read_pose_graph
 from toolkit.base.errors import DependencyError, ToolkitError
 from toolkit.base.geometry import se3
 from toolkit.base.pose_graph.graph import PoseEdge, PoseGraph, information_of
@@ -183,8 +183,9 @@ def digest() -> str:
 
 
 def test_solution_is_reproducible_in_another_process(request) -> None:
-    program = "import sys; sys.path.insert(0, sys.argv[1]); import test_pose_graph_solver as t"
-    command = [sys.executable, "-c", program + "; print(t.digest())", str(request.path.parent)]
+    program = "import sys; sys.path[:0] = sys.argv[1:]; import test_pose_graph_solver as t"
+    folders = (str(request.path.parent), str(request.path.parents[2]))
+    command = [sys.executable, "-c", program + "; print(t.digest())", *folders]
     environment = os.environ | {"OMP_NUM_THREADS": "2"}
     other = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert other.stdout.strip() == digest() == digest()

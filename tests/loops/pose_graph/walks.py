@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pose_graph_files import poses_along
 
-from benchmarks.pose_graph_files import poses_along
 from toolkit.base.geometry import se3
 from toolkit.base.pose_graph.graph import PoseEdge, PoseGraph, information_of
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved
 
 from benchmarks import cloud_registration
-from benchmarks.cloud_registration import CloudRegistration, scaled_information
+from benchmarks.loops.cloud_registration import CloudRegistration, scaled_information
 from toolkit.base.geometry import se3
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from registered_room import Scene, error, motion
 
-from benchmarks.two_way_registration import TwoWayRegistration
+from benchmarks.loops.two_way_registration import TwoWayRegistration
 from toolkit.slam.loops.registration.fine import FineRegistration
 from toolkit.slam.loops.registration.options import RegistrationOptions
 from toolkit.slam.loops.registration.sgr import SemanticGuidedRegistration

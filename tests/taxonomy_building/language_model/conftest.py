@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from chat_server import ChatServer
 from fake_endpoint import KEY, honest
 
-from benchmarks.chat_server import ChatServer
 from toolkit.semantics.taxonomy_building.language_model.chat import ModelIdentity
 from toolkit.semantics.taxonomy_building.language_model.endpoint import Endpoint, RetryOptions
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from benchmarks.chat_server import (
+from chat_server import (
     Behaviour,
     Groups,
     Response,

@@ -11,9 +11,9 @@ import time
 
 import numpy as np
 import pytest
+from chat_server import Response, fails
 from fake_endpoint import KEY, honest, knows_no, says
 
-from benchmarks.chat_server import Response, fails
 from toolkit.base.errors import DependencyError, SettingsError, ToolkitError
 from toolkit.semantics.taxonomy_building.grouper import Question
 from toolkit.semantics.taxonomy_building.language_model import transport

@@ -6,9 +6,9 @@ import json
 import random
 
 import pytest
+from chat_server import Groups, Response, as_text, fails, items_of
 from fake_endpoint import changed, honest, right_groups, says
 
-from benchmarks.chat_server import Groups, Response, as_text, fails, items_of
 from toolkit.base.errors import ToolkitError
 from toolkit.semantics.taxonomy_building.critic import settle
 from toolkit.semantics.taxonomy_building.grouper import Grouping, InvalidAnswerError, Question

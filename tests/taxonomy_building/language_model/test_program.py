@@ -9,11 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from chat_server import fails
 from fake_endpoint import KEY, says
 from test_language_model import CLASSES, INJECTIONS
 from test_trees_of_a_model import moody
 
-from benchmarks.chat_server import fails
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.tools.cli.main import main
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 import logging
 
 import pytest
-from test_language_model import CLASSES
-
-from benchmarks import critic
-from benchmarks.scripted_model import (
+from scripted_model import (
     ANSWER_ERRORS,
     ITEM_ERRORS,
     KINDS,
@@ -16,6 +13,8 @@ from benchmarks.scripted_model import (
     ScriptedModel,
     scripted_tree,
 )
+from test_language_model import CLASSES
+
 from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import build_taxonomy
@@ -72,7 +71,7 @@ def test_whatever_the_error_the_tree_has_every_class_once(tree, fake, kind):
 
 @pytest.mark.parametrize("kind", TRANSPORT_ERRORS)
 def test_requests_without_an_answer_are_repeated(tree, fake, kind, monkeypatch):
-    monkeypatch.setattr("benchmarks.scripted_model.TIMEOUT_S", 0.1)
+    monkeypatch.setattr("scripted_model.TIMEOUT_S", 0.1)
     scripted = ScriptedModel({kind: 0.4}, seed=1)
     too_late = kind in ("time-out", "slow")
     timeout_s = 0.1 if too_late else 10.0
@@ -117,24 +116,6 @@ def test_clusters_of_measured_shape_are_named(tree):
 def test_a_model_that_never_answers_ends_in_an_error(tree):
     with pytest.raises(NoModelError, match="in 3 attempts"):
         tree(ScriptedModel({"500": 1.0}), max_attempts=3)
-
-
-@pytest.mark.usefixtures("fake")
-def test_the_benchmark_counts_what_an_error_costs():
-    pytest.importorskip("openai")
-    without, omitted = (critic.session(CLASSES, rates, 0) for rates in ({}, {"omitted": 0.3}))
-    assert without.tree is not None
-    assert omitted.tree is not None
-    assert (without.errors, without.repairs) == (0, [])
-    assert omitted.errors > 0
-    assert omitted.requests > without.requests
-    assert sum(len(repairs.asked_again) for repairs in omitted.repairs) > 0
-    right, name = without.tree, "omitted"
-    assert critic.row(name, [without], right)[1:] == ("0", "7", "0", "0", "0", "0", "15", "0")
-    missing = critic.session(CLASSES, {"500": 1.0}, 0)
-    assert missing.tree is None
-    assert missing.requests == 6
-    assert critic.row(name, [missing], right)[1:] == ("n/a",) * 7 + ("1",)
 
 
 def test_every_kind_is_one_of_items_answers_or_requests():

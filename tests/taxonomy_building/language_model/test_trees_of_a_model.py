@@ -6,10 +6,10 @@ import zlib
 from pathlib import Path
 
 import pytest
+from chat_server import Behaviour, Response, fails
 from fake_endpoint import honest
 from test_language_model import CLASSES, INJECTIONS, LIES
 
-from benchmarks.chat_server import Behaviour, Response, fails
 from toolkit.base.errors import SettingsError
 from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.taxonomy import Taxonomy

@@ -84,7 +84,7 @@ class OdometryNoise(LoopNoise):
     sequence, TUM's fr1_rpy: over 5 to 40 frames the errors of the dense tracker (those of the
     ground truth included) are 0.7 to 1.2 of what they state without the information. They are
     conservative on rendered sequences. The terms of drift and frame were set by `python -m
-    benchmarks.uncertainty` on all recordings at every first, fourth and eighth frame.
+    benchmarks.accuracy.uncertainty` on all recordings at every first, fourth and eighth frame.
 
     Attributes:
         per_metre_m, per_metre_rad: standard deviations after a path of 1 m.

@@ -73,7 +73,7 @@ class MapperOptions:
     final_on_surfaces: bool = True
     """Let neighbours leave their surface only together during the final refinement."""
     # Ellipsoids are better on unseen views of seven recordings, with a third to half of the
-    # Gaussians (benchmarks/results/final_shape.md).
+    # Gaussians (measured at commit bb91ef7bd0).
     final_shape: Literal["ellipsoids", "spheres"] = "ellipsoids"
     """Shape of the Gaussians of the finished map. Ellipsoids are merged from the spheres on which
     the camera was tracked, before the final refinement, and are rendered as 3DGS does."""

@@ -6,7 +6,7 @@ Written for the interfaces that their repositories publish; none has run with it
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from toolkit.depth.depth_priors.provider import (
     Confidence,
     DepthKind,
     DepthPrior,
+    DepthProvider,
     Image,
     PixelMapping,
     PriorModel,
@@ -213,7 +214,7 @@ def _vggt_image(frame: Frame) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))).float() / 255.0
 
 
-SINGLE_PASS = {
+SINGLE_PASS: dict[str, Callable[[PriorModelOptions], DepthProvider]] = {
     "depth-anything-3": DepthAnything3Depth,
     "moge": MogeDepth,
     "vggt": VggtDepth,

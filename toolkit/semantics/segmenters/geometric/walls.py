@@ -139,7 +139,7 @@ def _row(plane: PlaneObservation) -> Array:
 def _log_odds(row: Array, floor_m: float | None, ceiling_m: float | None) -> float:
     """Return the log-odds that a plane is a wall.
 
-    The weights were chosen manually with the scores of `benchmarks/segmenters.py`.
+    The weights were chosen manually.
     """
     (left, right), (bottom, top) = row[_SPAN], row[_HEIGHTS]
     area_m2 = max((right - left) * (top - bottom), 1e-6)

@@ -1,0 +1,1 @@
+"""Trajectories and maps: sequences, hard motion, covariances, presets, Open3D."""

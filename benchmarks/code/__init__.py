@@ -1,0 +1,1 @@
+"""The code itself: structure, mutation testing, hashes of results."""

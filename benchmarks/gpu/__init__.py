@@ -1,0 +1,1 @@
+"""The renderer and the tracker on a GPU."""

@@ -1,0 +1,1 @@
+"""Recordings as people have them: kinds, checks, damaged and hostile files."""

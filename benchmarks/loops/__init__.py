@@ -1,0 +1,1 @@
+"""Loops and submaps: a ring of rooms, detection of loops, registration."""

@@ -1,0 +1,1 @@
+"""Runs without depth: motion, depth from images, tracking on depth priors."""

@@ -1,0 +1,1 @@
+"""Labels, class trees, objects, and their relations."""

@@ -1,0 +1,1 @@
+"""The service, and the viewer in a browser."""

@@ -1,0 +1,1 @@
+"""What the benchmarks share: recordings, runs, tables, and the files of results."""

@@ -1,0 +1,1 @@
+"""Time: kernels, frames beside an earlier commit, cameras, interrupted and distributed runs."""
