@@ -23,7 +23,7 @@ endef
 
 emulation = { command -v qemu-x86_64-static && command -v aarch64-linux-gnu-g++ && command -v clang++; } >/dev/null
 
-.PHONY: help demo test bench tables figures lint docs wheel audit lock ready clean
+.PHONY: help demo test bench tables figures lint docs wheel wheel-aarch64 audit lock ready clean
 .DELETE_ON_ERROR:
 
 help:
@@ -35,6 +35,7 @@ help:
 	@echo "make lint   check style, types and import layers"
 	@echo "make docs   build the documentation website in site/"
 	@echo "make wheel  build a wheel with the C++ kernels in dist/, for machines without a compiler"
+	@echo "make wheel-aarch64  the same for AArch64, cross-compiled"
 	@echo "make audit  look the locked packages up in a database of vulnerabilities"
 	@echo "make lock   write constraints.txt and requirements.txt from setup.cfg"
 	@echo "make clean  remove build products and caches; .venv and runs/ are kept"
@@ -101,6 +102,19 @@ wheel: ready .stamps/tools/bin/auditwheel
 		--wheel-dir build/wheel .
 	PATH="$(CURDIR)/.stamps/tools/bin:$$PATH" auditwheel repair --wheel-dir dist build/wheel/*.whl
 	@echo "make: pip install dist/*.whl installs it"
+
+# The same for AArch64, where nothing that extensions use of this Python's headers differs.
+AARCH64 = _PYTHON_HOST_PLATFORM=linux-aarch64 CC=aarch64-linux-gnu-gcc CXX=aarch64-linux-gnu-g++ \
+	LDSHARED="aarch64-linux-gnu-gcc -shared" LDCXXSHARED="aarch64-linux-gnu-g++ -shared" \
+	SETUPTOOLS_EXT_SUFFIX=.$$(.venv/bin/python -c 'import sys; print(sys.implementation.cache_tag)')-aarch64-linux-gnu.so
+wheel-aarch64: ready .stamps/tools/bin/auditwheel
+	@command -v aarch64-linux-gnu-g++ >/dev/null || { \
+		$(call apt,g++-aarch64-linux-gnu,the compiler for AArch64 is); }
+	rm -rf build/lib* build/bdist* build/wheel-aarch64
+	env $(AARCH64) .venv/bin/python -m pip wheel --disable-pip-version-check --quiet --no-deps \
+		--no-build-isolation --wheel-dir build/wheel-aarch64 .
+	LD_LIBRARY_PATH=/usr/aarch64-linux-gnu/lib PATH="$(CURDIR)/.stamps/tools/bin:$$PATH" \
+		auditwheel repair --wheel-dir dist build/wheel-aarch64/*.whl
 
 # Known vulnerabilities of the locked packages; where their database cannot be reached, it fails.
 audit: .stamps/tools

@@ -55,9 +55,11 @@ AVX512_FLAGS = [
 
 
 def instruction_sets() -> dict[str, list[str]]:
-    """Compiler flags of each variant that this kind of processor can have."""
+    """Compiler flags of each variant that the kind of processor can have."""
     variants: dict[str, list[str]] = {"base": []}
-    if platform.machine().lower() in ("x86_64", "amd64"):
+    # The variable is set where the compiler is one for other processors.
+    processor = os.environ.get("_PYTHON_HOST_PLATFORM", platform.machine()).lower()
+    if processor.endswith(("x86_64", "amd64")):
         variants |= {"avx2": AVX2_FLAGS, "avx512": AVX512_FLAGS}
     return variants
 

@@ -217,6 +217,8 @@ def test_links_lead_somewhere(page: Path):
             continue
         if not path.exists():
             broken.append(f"{place}: {target} does not exist")
+        elif ROOT / "docs" in page.parents and ROOT / "docs" not in path.parents:
+            broken.append(f"{place}: {target} is not part of the website; name the file instead")
         elif anchor and anchor not in documentation.anchors(path):
             broken.append(f"{place}: {file or page.name} has no heading #{anchor}")
     assert not broken, "\n".join(broken)
