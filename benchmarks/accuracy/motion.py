@@ -2,7 +2,7 @@
 
 SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.motion --subset
 SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.motion --only 'RedKitchen, stride 8'
-SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.motion --only RedKitchen
+SEMSPLAT_DATA=DATA python -m benchmarks.accuracy.motion --only RedKitchen --methods semsplat
 
 ORB-SLAM3 is measured if it is installed: pip install --no-deps orbslam3-python
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import tyro
 
@@ -42,6 +43,7 @@ from benchmarks.accuracy.silent_errors import (
 from benchmarks.shared.runner import Report, ReportOptions
 from benchmarks.shared.tables import Metrics, Rows, Table, Target, table_of, target_table
 
+MethodName = Literal["semsplat", "open3d", "opencv", "orbslam3"]
 Job = list[str]
 
 COLUMNS = (
@@ -187,6 +189,8 @@ class Options(ReportOptions):
     `--only` takes names of sequences, or of rows, as 'RedKitchen, stride 8', with their rivals.
     """
 
+    methods: tuple[MethodName, ...] = get_args(MethodName)
+    """Methods to measure."""
     subset: bool = False
     """Measure some rows without rivals, in a few minutes."""
 
@@ -247,15 +251,17 @@ def chosen(options: Options, jobs: Mapping[str, Job]) -> tuple[str, ...]:
     """
     if options.subset:
         return SUBSET
-    rows = dict[str, None]()
-    for name in options.only:
-        found = [
-            row for row, job in jobs.items() if name in (row, job[1]) or row.startswith(f"{name}: ")
-        ]
-        if not found:
-            raise SystemExit(f"--only: no '{name}'; sequences: {', '.join(SEQUENCES)}")
-        rows |= dict.fromkeys(found)
-    return tuple(rows)
+    known = {name for row, job in jobs.items() for name in (row, job[1])}
+    unknown = set(options.only) - known
+    if unknown:
+        raise SystemExit(f"--only: no '{min(unknown)}'; sequences: {', '.join(SEQUENCES)}")
+    rows = tuple(
+        row
+        for row, job in jobs.items()
+        if ("semsplat" if job[0] == "bad input" else job[0]) in options.methods
+        and (not options.only or {row, row.partition(": ")[0], job[1]} & set(options.only))
+    )
+    return () if len(rows) == len(jobs) else rows
 
 
 def measure(job: Job, seed: int, rivals: RivalProcess) -> Metrics:

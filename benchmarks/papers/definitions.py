@@ -23,13 +23,10 @@ def _per_iteration(stage: str, iterations: int) -> Callable[[Metrics], float | N
 COLUMNS: dict[str, str | Callable[[Metrics], float | None]] = {
     "ATE cm": "trajectory.ate_rmse_cm",
     "PSNR dB": "images.mapped.psnr_db",
-    "unseen PSNR dB": "images.unseen.psnr_db",
     "SSIM": "images.mapped.ssim",
     "MS-SSIM": "images.mapped.ms_ssim",
     "depth L1 cm": "depth.mapped.l1_cm",
     "mIoU %": "semantics.mapped.miou_percent",
-    "unseen mIoU %": "semantics.unseen.miou_percent",
-    "subset mIoU %": "semantics.mapped.miou_subset_percent",
     "map MB": "memory.map_mb",
     "peak MB": "memory.peak_mb",
     "lost": "frames.lost",
@@ -169,23 +166,6 @@ TABLES: tuple[PaperTable, ...] = (
         ),
         "The first six frames of the room at 160x120; 40 iterations of tracking, 60 of mapping per "
         "frame.",
-    ),
-    PaperTable(
-        "H-VII: labels and memory by code",
-        (
-            *("mIoU %", "unseen mIoU %", "subset mIoU %", "PSNR dB", "unseen PSNR dB", "map MB"),
-            "peak MB",
-        ),
-        _rows(
-            "codes",
-            ("without semantics", "none"),
-            ("flat", "flat", "mIoU 90.35, 2662 MB (Replica, 4 scenes)"),
-            ("one-hot", "one-hot", "mIoU 89.41, subset 96.79, 927 MB"),
-            ("binary", "binary", "mIoU 81.27, subset 95.26, 592 MB"),
-            ("colour (G)", "colour"),
-        ),
-        "Default system on office0 at 300x170 with given poses; every fifth view is held out. "
-        "Subset: predictions are decoded among the classes of the view's truth, as H does.",
     ),
     PaperTable(
         "G-VII: the system with and without landmarks",

@@ -113,14 +113,6 @@ GROUPS: dict[str, Group] = {
         },
         2,
     ),
-    "codes": Group(
-        {"office0": Place("office0", (300, 170))},
-        {
-            kind: _options(poses="given", hold_out=5, evaluation={"subset": True}, **_coded(kind))
-            for kind in ("none", "flat", "one-hot", "binary", "colour")
-        },
-        3,
-    ),
     "cost": Group(
         {"room": Place("room", (160, 120), 6)},
         {

@@ -43,6 +43,7 @@ def test_options_restrict_the_rows():
         "RedKitchen, stride 8",
         *(f"RedKitchen, stride 8: {label}" for label in motion.LABELS.values()),
     )
+    assert chosen(only=names[:1], methods=("opencv",)) == ("RedKitchen, stride 8: OpenCV",)
     assert {name.split(", ")[0] for name in chosen(only=("fr1/rpy",))} == {"fr1/rpy"}
     assert set(chosen(subset=True)) == set(motion.SUBSET)
     with pytest.raises(SystemExit, match="--only: no 'fr1/rpy, stride 3'"):

@@ -10,7 +10,7 @@ import yaml
 
 from benchmarks.accuracy import presets, sequences
 from benchmarks.loops import detection, ring
-from benchmarks.papers import columns, definitions, plans, runs
+from benchmarks.papers import definitions, plans, runs
 from benchmarks.semantics import codes
 from benchmarks.shared import recordings
 from benchmarks.speed import live, pace
@@ -49,7 +49,7 @@ def test_plans_of_the_papers_tables_are_valid(name: str, tmp_path, monkeypatch) 
 
 def test_rows_of_the_papers_tables_have_runs_and_columns() -> None:
     for table in definitions.TABLES:
-        assert set(table.columns) <= set(columns.COLUMNS)
+        assert set(table.columns) <= set(definitions.COLUMNS)
         for row in table.rows.values():
             group = plans.GROUPS[row.group]
             assert row.settings in group.settings

@@ -14,8 +14,8 @@ from benchmarks.accuracy.compare_open3d import TITLES
 from benchmarks.shared import repository, runner
 from benchmarks.shared.repository import CodeVersion, commits_since
 from benchmarks.shared.results_file import RESULTS, Header, Results, read_all, read_results
-from benchmarks.shared.runner import Report, ReportOptions, RunStore
-from benchmarks.shared.tables import Table, Target, median_cell, table_of, target_table
+from benchmarks.shared.runner import Options, Page, Report, ReportOptions, RunStore
+from benchmarks.shared.tables import Table, Target, median_cell, table_of, target_table, targets_of
 
 HEADER = Header(
     date="2026-01-02",
@@ -164,6 +164,35 @@ def test_a_benchmark_continues_where_it_stopped(code: dict[str, str], tmp_path: 
 def test_an_unknown_row_is_refused(code: dict[str, str], tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="no row 'third'; rows: first, second"):
         measured(ReportOptions(out=tmp_path, only=("third",)), [])
+
+
+def test_a_page_has_medians_and_targets(code: dict[str, str], tmp_path: Path) -> None:
+    jobs: list[list[str]] = []
+
+    def measure(job: list[str], seed: int) -> dict[str, float]:
+        jobs.append(job)
+        return {"value": 10.0 * len(job) + seed}
+
+    page = Page(
+        "tiny",
+        "Tiny",
+        "Text.",
+        {"first": ["a"], "second": ["b", "c"]},
+        measure,
+        lambda rows: [table_of(("value",), rows)],
+        lambda rows: targets_of(rows, at_least=[("value of first", "first", "value", 11.0)]),
+        seeds=3,
+    )
+    page.write(Options(out=tmp_path, seeds=3))
+    results = read_results(tmp_path / "tiny.md")
+    assert results.table().rows == (("first", "11"), ("second", "21"))
+    assert results.table("Targets").cell("value of first", "result") == "met"
+    with pytest.raises(SystemExit, match="give --name"):
+        page.write(Options(out=tmp_path, extra="--fast 1"))
+    # Other options are another page, which the targets do not judge.
+    page.write(Options(out=tmp_path, extra="--fast 1", name="fast", only=("second",)))
+    assert jobs[-1] == ["b", "c", "--fast", "1"]
+    assert len(read_results(tmp_path / "fast.md").tables) == 1
 
 
 def test_runs_of_other_machines_are_not_found(
