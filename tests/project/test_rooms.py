@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,18 +22,27 @@ def stated(checkout: Path, room: str) -> list[str]:
     return re.findall(r"`([\w.]+)`", words.split("For others:")[1])
 
 
+@cache
+def imports(checkout: Path) -> list[tuple[str, str, str]]:
+    """All imports from rooms: the importing file, the module, and the name."""
+    found = []
+    for path in sorted((checkout / "toolkit").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("toolkit."):
+                file = str(path.relative_to(checkout / "toolkit"))
+                found += [(file, str(node.module), alias.name) for alias in node.names]
+    return found
+
+
 def imported(checkout: Path, room: str) -> Iterator[tuple[str, str]]:
     """Modules of a room that other rooms import, with the importing file."""
-    for path in sorted((checkout / "toolkit").rglob("*.py")):
-        if path.relative_to(checkout / "toolkit").parts[0] == room:
+    for file, module, name in imports(checkout):
+        if file.startswith(f"{room}/"):
             continue
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module is not None:
-                if node.module == f"toolkit.{room}":
-                    for alias in node.names:
-                        yield alias.name, str(path)
-                elif node.module.startswith(f"toolkit.{room}."):
-                    yield node.module.removeprefix(f"toolkit.{room}."), str(path)
+        if module == f"toolkit.{room}":
+            yield name, file
+        elif module.startswith(f"toolkit.{room}."):
+            yield module.removeprefix(f"toolkit.{room}."), file
 
 
 def is_within(module: str, name: str) -> bool:
