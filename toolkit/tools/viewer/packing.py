@@ -78,7 +78,7 @@ def pack(scene: ViewerScene) -> PackedScene:
     packed.add("pathColours", scene.path_colours)
     voxels_m = [one.voxels_m for one in scene.objects if one.voxels_m is not None]
     if voxels_m:
-        packed.add("voxels", np.concatenate(voxels_m))
+        packed.add("voxels", np.concatenate(voxels_m).astype(np.float32))
     return packed
 
 
