@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from registered_room import Scene, error, motion, moved
 
-from benchmarks import cloud_registration
+from benchmarks.loops import cloud_registration
 from benchmarks.loops.cloud_registration import CloudRegistration, scaled_information
 from toolkit.base.geometry import se3
 
