@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.geometry.thinning import thinned
 from toolkit.exports.building import Building, find_building
 from toolkit.exports.floors import required_floors
 from toolkit.exports.options import GridOptions, ObjectGraphOptions
@@ -141,7 +142,7 @@ class MappedScene:
     @cached_property
     def _seen(self) -> list[dict[str, Any]]:
         """First and last keyframe that see each object, and their number."""
-        samples = [o.points_m[:: max(1, len(o) // _SAMPLES)] for o in self.objects]
+        samples = [thinned(o.points_m, _SAMPLES) for o in self.objects]
         owner = np.repeat(np.arange(len(samples)), [len(s) for s in samples])
         sizes = np.bincount(owner, minlength=len(samples))
         seen = np.zeros((len(self.views), len(samples)), bool)

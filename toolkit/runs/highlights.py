@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from toolkit.base.geometry import se3
+from toolkit.base.geometry.thinning import thinned
 from toolkit.io.visualisation import RgbImage, colour_image
 from toolkit.runs.maps.finished import FinishedRun
 from toolkit.runs.maps.visibility import keyframe_views
@@ -81,7 +82,7 @@ def _best_pose(run: FinishedRun, selected: NDArray[np.bool_]) -> Array:
     """T_map_camera [4, 4] of the keyframe that sees most of the selection."""
     views = keyframe_views(run)
     means = run.gaussians.means.double().numpy()[selected]
-    sample = means[:: max(1, len(means) // _SAMPLES)]
+    sample = thinned(means, _SAMPLES)
     seen = [int(views.sight(k, sample).surface.sum()) for k in range(len(views))]
     return np.asarray(views.T_map_camera[int(np.argmax(seen))])
 

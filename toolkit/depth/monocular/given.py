@@ -16,6 +16,7 @@ from toolkit.base.errors import DatasetError
 from toolkit.base.frame import Frame
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
+from toolkit.base.geometry.thinning import thinned
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.pose_convention import (
     OURS,
@@ -224,7 +225,7 @@ def _check(camera: Camera, pairs: Sequence[_Pair], agreement: float) -> None:
     """Check that the poses agree with the images."""
     if agreement >= _MIN_AGREEMENT or sum(len(p.first_px) for p in pairs) < _MIN_MATCHES:
         return
-    few = pairs[:: max(1, len(pairs) // 20)]
+    few = thinned(pairs, 20)
     scores = [(_agreement(camera, few, convention), convention) for convention in all_conventions()]
     best, convention = max(scores, key=lambda item: item[0])
     reason = "check that they belong to these images and are in their order"

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from toolkit.base.geometry.thinning import thinned
+
 Array = NDArray[np.float64]
 Keys = NDArray[np.int64]
 
@@ -101,7 +103,7 @@ class Body:
         """Return whether most points are close to a wall: a picture, but not a cupboard."""
         if self.far(wall, _HANGING_M):
             return False
-        points = self.points[:: max(1, len(self.points) // _SAMPLES)]
+        points = thinned(self.points, _SAMPLES)
         found, _ = wall._tree.query(points, distance_upper_bound=_HANGING_M)
         return float(np.isfinite(found).mean()) >= _MIN_HANGING
 

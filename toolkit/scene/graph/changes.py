@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
+from toolkit.base.geometry.thinning import thinned
 from toolkit.scene.query import SceneObject
 
 Array = NDArray[np.float64]
@@ -193,7 +194,7 @@ def _absent(
         trees[path] = KDTree(np.concatenate(same)) if same else None
     absent = []
     for item in objects:
-        points_m = item.points_m[:: max(1, len(item.points_m) // _SAMPLES)]
+        points_m = thinned(item.points_m, _SAMPLES)
         tree = trees[item.node.path]
         present = 0.0
         if tree is not None:

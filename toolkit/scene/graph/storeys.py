@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.geometry.thinning import thinned
 from toolkit.base.geometry.voxels import voxel_keys, voxels_of
 from toolkit.scene.graph.boxes import Ground
 
@@ -183,7 +184,7 @@ def lowest_floor(floor_m: Array, others_m: Array) -> Ground | None:
 
 def _common_normal(points_m: Array) -> Array | None:
     """Return the normal [3] that the patches of floors [N, 3] share; None if they do not."""
-    points = points_m[:: max(1, len(points_m) // _MAX_POINTS)]
+    points = thinned(points_m, _MAX_POINTS)
     _, patch = np.unique(voxel_keys(voxels_of(points, _PATCH_M)), return_inverse=True)
     counts = np.bincount(patch)
 

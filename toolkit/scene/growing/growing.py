@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.base.geometry.thinning import thinned
 from toolkit.base.keyframe import Keyframe
 from toolkit.io.arrays import arrays_below
 from toolkit.scene.graph.bodies import Body
@@ -25,9 +26,10 @@ from toolkit.scene.graph.storeys import Floors, Storeys
 from toolkit.scene.growing.counts import PixelCounts
 from toolkit.scene.growing.floors import fitted_floors, same_floors
 from toolkit.scene.growing.rooms import ViewFan, fan_of
-from toolkit.scene.growing.snapshot import SeenObject, Snapshot, thinned
+from toolkit.scene.growing.snapshot import SeenObject, Snapshot
 from toolkit.scene.growing.surfaces import Surfaces
 from toolkit.scene.growing.twins import Twins
+from toolkit.scene.instances.objects import class_name_of
 from toolkit.scene.instances.tracking import InstanceTracker
 from toolkit.scene.instances.voxels import sampled, sampling_step
 from toolkit.semantics.colour_names import COLOUR_NAMES, colour_table
@@ -40,8 +42,6 @@ Array = NDArray[np.float64]
 _MIN_VOXELS, _MIN_VIEWS = 6, 2
 # Number of points that suffice for relations.
 _OUTLINE_POINTS = 1500
-# Surfaces are known up to the edge of a voxel.
-_VOXEL_M = 0.04
 # Number of objects whose relations are computed per keyframe; others wait.
 _OBJECTS_PER_KEYFRAME = 2
 # An object that has grown by this share is compared again.
@@ -67,19 +67,18 @@ class GrowingScene:
         self, taxonomy: Taxonomy, tracker: InstanceTracker, connected: bool = False
     ) -> None:
         self._taxonomy, self._tracker, self._connected = taxonomy, tracker, connected
-        self._leaves = {n.class_ids[0]: n for n in taxonomy.nodes if n.leaf}
-        self._class_of = {n.name: class_id for class_id, n in self._leaves.items()}
+        leaves = {k: taxonomy.leaf(k) for k in range(1, len(taxonomy) + 1)}
+        self._class_of = {leaf.name: class_id for class_id, leaf in leaves.items()}
         roles = Roles(taxonomy)
-        self._role_of = {k: roles.of(node.path) for k, node in self._leaves.items()}
-        self._floor_classes = {
-            k for k, node in self._leaves.items() if roles.kind(node.path) == "floor"
-        }
+        self._role_of = {k: roles.of(leaf.path) for k, leaf in leaves.items()}
+        self._floor_classes = {k for k, leaf in leaves.items() if roles.kind(leaf.path) == "floor"}
         self._colour_table = colour_table()
         self._colours = PixelCounts(len(COLOUR_NAMES))
         self._labels = PixelCounts(len(taxonomy) + 1)
         self._surfaces = Surfaces(tracker)
         self._twins = Twins(self._surfaces)
-        contact_m = RelationOptions.contact_m + _VOXEL_M
+        # Surfaces are known up to the edge of a voxel.
+        contact_m = RelationOptions.contact_m + tracker.options.voxel_m
         self._relations = SceneRelations(self._outline, RelationOptions(contact_m))
         self._fans: list[ViewFan] = []
         self._cameras: list[Array] = []  # positions of the first fans, until a pose changes
@@ -104,7 +103,8 @@ class GrowingScene:
         for keyframe in reversed(new):
             self._seen.add((number, keyframe.index))
             self._add(number, keyframe, metres_per_unit)
-        self._read(metres_per_unit)
+        self._surfaces.read(metres_per_unit, number)
+        self._take_over()
         self._fit_floor()
         if self._floors is not None:
             self._relations.update(self._floors, self._cameras_m(), _OBJECTS_PER_KEYFRAME)
@@ -114,9 +114,10 @@ class GrowingScene:
         self._follow(atlas, metres_per_unit)
         if not self._connected:
             self._surfaces.twins.clear()  # the tracker has joined its objects
-        self._read(metres_per_unit)
+        self._surfaces.read(metres_per_unit)
+        self._take_over()
         if self._connected:
-            self._join_all(metres_per_unit)
+            self._join_all()
         self._floor_size = 0
         self._fit_floor()
         self._relations.all_changed()
@@ -164,11 +165,10 @@ class GrowingScene:
         if keyframe.class_ids is not None:
             self._labels.add(record, sampled(keyframe.class_ids.numpy(), step))
 
-    def _read(self, metres_per_unit: float) -> None:
+    def _take_over(self) -> None:
         """Take over the objects of the tracker; those that are new or have grown are compared."""
-        surfaces = self._surfaces
-        surfaces.read(metres_per_unit)
-        known = self._classes
+        surfaces, known = self._surfaces, self._classes
+        surfaces.group()
         self._classes = self._shown()
         for number in [n for n in known if n not in self._classes]:
             self._relations.remove(number)
@@ -177,7 +177,7 @@ class GrowingScene:
         twins = {number: other for number, other in twins.items() if other}
         if twins:
             surfaces.twins |= twins
-            surfaces.read(metres_per_unit)
+            surfaces.group()
             self._classes = {n: k for n, k in self._classes.items() if n not in twins}
         for number in self._classes:
             size = int(surfaces.sizes[number])
@@ -199,13 +199,9 @@ class GrowingScene:
     def _class(self, number: int) -> int:
         """The class of an object: that of its masks if the taxonomy has it, else of the labels."""
         parts = self._surfaces.parts[number]
-        weights: dict[str, float] = {}
-        for part in parts:
-            for name, weight in self._tracker.objects[part].classes.items():
-                weights[name] = weights.get(name, 0.0) + weight
-        best = max(weights, key=lambda name: weights[name], default="")
-        if best in self._class_of:
-            return self._class_of[best]
+        name = class_name_of(self._tracker.objects[part] for part in parts)
+        if name in self._class_of:
+            return self._class_of[name]
         counts = self._labels.of(parts)
         counts[0] = 0
         return int(counts.argmax())
@@ -216,7 +212,7 @@ class GrowingScene:
         others = [n for n in among if self._classes.get(n) == class_id]
         return self._twins.of(number, others, touching)
 
-    def _join_all(self, metres_per_unit: float) -> None:
+    def _join_all(self) -> None:
         """Join objects of one class whose surfaces coincide or touch."""
         for number in sorted(self._classes):
             while number in self._classes:
@@ -225,7 +221,7 @@ class GrowingScene:
                     break
                 kept, gone = sorted((number, other))
                 self._surfaces.twins[gone] = kept
-                self._read(metres_per_unit)
+                self._take_over()
 
     def _views(self) -> dict[int, tuple[int, int, int]]:
         """The first and the last keyframe with a mask of each object, and their number."""
@@ -328,6 +324,7 @@ class GrowingScene:
         self._surfaces.poses |= {int(n): np.array(arrays[f"poses/{n}"]) for n in values["poses"]}
         self._surfaces.twins |= _pairs(values["twins"])
         self._surfaces.read(float(values["metres_per_unit"]))
+        self._surfaces.group()
         self._fans = [
             ViewFan(int(submap), np.array(arrays[f"fans/{k}"]))
             for k, submap in enumerate(values["fans"])

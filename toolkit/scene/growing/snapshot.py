@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,6 @@ from toolkit.scene.growing.rooms import GrowingBuilding
 from toolkit.semantics.taxonomy import Taxonomy
 
 Array = NDArray[np.float64]
-Rows = TypeVar("Rows", Array, list[Array])
-
-
-def thinned(rows: Rows, count: int) -> Rows:
-    """Return about `count` evenly spaced rows, or all if there are fewer."""
-    return rows[:: max(1, len(rows) // count)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,19 +66,18 @@ class Snapshot:
 
         The identifiers of objects are their numbers. Those of rooms follow.
         """
-        leaves = {node.class_ids[0]: node for node in taxonomy.nodes if node.leaf}
+        leaves = {one.number: taxonomy.leaf(one.class_id) for one in self.objects}
         roles = Roles(taxonomy)
-        kinds = {one.number: roles.kind(leaves[one.class_id].path) for one in self.objects}
+        kinds = {number: roles.kind(leaf.path) for number, leaf in leaves.items()}
         points = {number: own.astype(np.float64) for number, own in self.points_m.items()}
         floors = self._floors([points[n] for n, kind in kinds.items() if kind == "floor"])
         by_role: dict[Role, list[Array]] = {}
-        for one in self.objects:
-            role = roles.of(leaves[one.class_id].path)
-            by_role.setdefault(role, []).append(points[one.number])
+        for number, leaf in leaves.items():
+            by_role.setdefault(roles.of(leaf.path), []).append(points[number])
         building = self._building(floors, by_role)
         nodes = []
         for one in self.objects:
-            points_m, node = points[one.number], leaves[one.class_id]
+            points_m, node = points[one.number], leaves[one.number]
             encloses = kinds[one.number] != "object"
             storeys = floors.of_object(points_m, kinds[one.number])
             rooms = rooms_of_object(building, points_m, storeys, encloses)

@@ -29,10 +29,10 @@ class Surfaces:
     Attributes:
         poses: [4, 4] pose of each submap, in metres, by its number.
         twins: objects of the tracker that are another one, by number.
-        table: [M + 1] the object of the scene of each object of the tracker, since the last `read`.
+        table: [M + 1] object of the scene of each object of the tracker, since the last `group`.
         sizes: [M + 1] number of voxels of each object of the scene, since then.
         parts: objects of the tracker of each object of the scene, since then.
-        metres_per_unit: length of the unit of the tracker, since then.
+        metres_per_unit: length of the unit of the tracker, since the last `read`.
     """
 
     def __init__(self, tracker: InstanceTracker) -> None:
@@ -43,15 +43,28 @@ class Surfaces:
         self.sizes = np.zeros(1, np.int64)
         self.parts: dict[int, list[int]] = {}
         self.metres_per_unit = 1.0
+        # Voxels of each object of the tracker, by submap.
+        self._counts: dict[int, NDArray[np.int64]] = {}
 
-    def read(self, metres_per_unit: float) -> None:
-        """Follow what the tracker has found and merged."""
-        tracker = self._tracker
+    def read(self, metres_per_unit: float, submap: int | None = None) -> None:
+        """Count the voxels of the tracker's objects.
+
+        Args:
+            metres_per_unit: length of the unit of the tracker.
+            submap: the only one whose voxels have changed; None for any.
+        """
         self.metres_per_unit = metres_per_unit
+        for number, votes in self._tracker.votes.items():
+            if submap in (None, number) or number not in self._counts:
+                self._counts[number] = np.bincount(votes.owners[:, 0], minlength=1)
+
+    def group(self) -> None:
+        """Find the objects of the scene: what the tracker has merged, and twins, are one."""
+        tracker = self._tracker
         self.table = np.array([self._object_of(n) for n in tracker.table().tolist()], np.int32)
         self.sizes = np.zeros(len(self.table), np.int64)
-        for votes in tracker.votes.values():
-            self.sizes += np.bincount(self.table[votes.owners[:, 0]], minlength=len(self.table))
+        for counts in self._counts.values():
+            np.add.at(self.sizes, self.table[: len(counts)], counts)
         self.sizes[0] = 0
         self.parts = {}
         for number in tracker.objects:
@@ -70,10 +83,10 @@ class Surfaces:
         found: dict[int, list[tuple[Array, NDArray[np.bool_]]]] = {n: [] for n in numbers}
         wanted = np.isin(np.arange(len(self.table)), list(found))
         for submap, votes in sorted(self._tracker.votes.items()):
+            if not wanted[self.table[np.flatnonzero(self._counts[submap])]].any():
+                continue
             owners = self.table[votes.owners[:, 0]]
             rows = np.flatnonzero(wanted[owners])
-            if not len(rows):
-                continue
             rows = rows[np.argsort(owners[rows], kind="stable")]
             edge_m = votes.voxel_m * self.metres_per_unit
             points = (voxels_of_keys(votes.keys[rows]) + 0.5) * edge_m

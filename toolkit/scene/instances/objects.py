@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,9 +39,7 @@ class TrackedObject:
     @property
     def class_name(self) -> str | None:
         """The most frequent class name; None if none is known."""
-        if not self.classes:
-            return None
-        return min(self.classes, key=lambda name: (-self.classes[name], name))
+        return class_name_of([self])
 
     @property
     def mean_score(self) -> float:
@@ -87,3 +86,12 @@ class TrackedObject:
     def from_values(cls, values: dict[str, Any], embeddings: ViewEmbeddings) -> TrackedObject:
         """Restore an object from its `values` and its embeddings."""
         return cls(**values | {"embeddings": embeddings})
+
+
+def class_name_of(objects: Iterable[TrackedObject]) -> str | None:
+    """The most frequent class name of objects that are one; None if none is known."""
+    weights: dict[str, float] = {}
+    for one in objects:
+        for name, weight in one.classes.items():
+            weights[name] = weights.get(name, 0.0) + weight
+    return min(weights, key=lambda name: (-weights[name], name), default=None)

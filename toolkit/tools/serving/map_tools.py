@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from toolkit.base.errors import SettingsError, ToolkitError
 from toolkit.base.geometry import se3
+from toolkit.base.geometry.thinning import thinned
 from toolkit.exports.map_changes import changes_between, require_metres
 from toolkit.exports.mapped_scene import MappedScene, map_scene
 from toolkit.exports.options import ObjectGraphOptions
@@ -167,8 +168,7 @@ class MapTools:
     def pose_towards(self, number: int) -> Array:
         """Return T_map_camera [4, 4] of the keyframe that sees an object best, turned to it."""
         scene = self._scene
-        points_m = scene.objects[self._checked(number)].points_m
-        points_m = points_m[:: max(1, len(points_m) // 200)]
+        points_m = thinned(scene.objects[self._checked(number)].points_m, 200)
         seen = [scene.views.sight(k, points_m).surface.mean() for k in range(len(scene.views))]
         if not seen or max(seen) <= 0:
             raise NotAvailableError(f"no keyframe sees object {number}; give a position and target")
