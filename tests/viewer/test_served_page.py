@@ -282,7 +282,10 @@ READ = """async (url) => {
   document.body.append(frame);
   await new Promise((done) => { frame.onload = done; });
   const opened = window.open(url);
-  await new Promise((done) => setTimeout(done, 300));
+  // The handle of an empty window is valid until the page arrives, which takes longer under load.
+  for (let wait = 0; wait < 100 && !opened.closed; wait++) {
+    await new Promise((done) => setTimeout(done, 100));
+  }
   try { outcome.window = opened.document.body?.innerText ?? "refused"; }
   catch { outcome.window = "refused"; }
   outcome.control = opened.closed ? "refused" : "possible";
