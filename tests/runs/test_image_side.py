@@ -18,7 +18,7 @@ from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.exports.selection import _lowest_layer
 from toolkit.runs import image_side
 from toolkit.runs.building import build_run_labeller
-from toolkit.runs.image_side import find_side, up_side
+from toolkit.runs.image_side import find_side, side_seen_afterwards, up_side
 from toolkit.runs.maps.finished import load_run
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement
@@ -91,6 +91,15 @@ def test_doubt_is_one_line_unless_labels_show_the_floor(sideways, monkeypatch):
     assert "the vertical is in doubt" in line and "--dataset.up left" in line
     labelled = replace(sideways, label_names={1: "floor"})
     assert find_side(labelled, labelled.frames, AUTO.dataset).findings == ()
+
+
+def test_a_live_camera_on_its_side_is_noticed_afterwards(sideways, monkeypatch):
+    monkeypatch.setattr(image_side, "spread_frames", lambda recorded: recorded.frames)
+    found = side_seen_afterwards(sideways, AUTO.dataset)
+    (line,) = found.findings
+    assert found.side == "left"
+    assert "classes were found as if the top were; start with --dataset.up left" in line
+    assert side_seen_afterwards(sideways, stated("right")).findings == ()
 
 
 def test_floor_and_vertical_of_an_unlabelled_map_follow_the_side():

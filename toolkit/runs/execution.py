@@ -122,11 +122,12 @@ def _execute(
     progress, stop = hooks.progress, hooks.stop
     mode, recorder = mode_of(settings), StageRecorder()
     up, findings = _examined(dataset, settings)
-    settings = up.chosen(settings)
     # Missing weights are reported before the motion is estimated.
     provider = build_provider(settings.depth_prior, dataset.stems, dataset.recording.camera)
     with logged_to(folder.log):
         source = mode.open(RunContext(settings, dataset, recorder, provider, progress))
+    up = source.up or up
+    settings = up.chosen(settings)
     if source.motion is not None and not source.motion.views:
         write_motion_alone(source.motion, folder)
         return
@@ -144,6 +145,7 @@ def _execute(
     with session.open():
         for note in up.notes:
             _log.info("%s: %s; --dataset.up states another side.", dataset.name, note)
+        findings = (*findings, *up.findings)
         _log_findings(mode, dataset, findings)
         if start is not None:
             _log.info("Resumed %s at frame %d of %d.", folder.path, start, len(dataset))
@@ -185,7 +187,7 @@ def _examined(dataset: RecordedDataset, settings: RunSettings) -> tuple[FoundSid
     up = find_side(dataset, frames, settings.dataset)
     findings = mode.findings(dataset, frames, up.chosen(settings))
     dataset.recording.kept.clear()
-    return up, (*findings, *up.findings)
+    return up, findings
 
 
 def _log_findings(mode: RunMode, dataset: RecordedDataset, findings: Sequence[str]) -> None:

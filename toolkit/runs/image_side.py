@@ -10,6 +10,7 @@ from toolkit.base.frame import Frame
 from toolkit.base.geometry.image_sides import ImageSide, nearest_side
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.samples import spread_frames
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.segmenters.geometric.image_side import SideJudgement, judge_side
 from toolkit.slam.length_unit import LengthUnit
@@ -57,6 +58,27 @@ def find_side(
     findings = () if rival is None or dataset.label_names else (_doubt(side, rival),)
     notes = () if side == "top" else (f"the {_named(side)} of the images is up",)
     return FoundSide(side, findings, notes)
+
+
+def side_seen_afterwards(dataset: RecordedDataset, options: DatasetOptions) -> FoundSide:
+    """Find the side that was up in the images of a live camera, when all have been processed.
+
+    Args:
+        dataset: the stored images.
+        options: those at the start, which may state the side.
+
+    Returns:
+        The side, with a finding if it was not the one that the map was labelled by.
+    """
+    found = find_side(dataset, spread_frames(dataset), options)
+    assumed = up_side(options)
+    if found.side == assumed:
+        return found
+    finding = (
+        f"the {_named(found.side)} of the images is up, but classes were found as if the "
+        f"{_named(assumed)} were; start with --dataset.up {found.side} next time"
+    )
+    return replace(found, findings=(finding, *found.findings))
 
 
 def _by_gravity(dataset: RecordedDataset) -> SideJudgement | None:

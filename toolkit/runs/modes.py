@@ -29,7 +29,15 @@ from toolkit.depth.monocular.sequence import MonocularSequence, prior_correction
 from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.evaluation.trajectory import AlignmentKind
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.motion import estimated_motion, motion_at_given_poses, with_prior_doubts
+from toolkit.runs.image_side import FoundSide
+from toolkit.runs.motion import (
+    estimated_motion,
+    in_metres,
+    log_doubts,
+    motion_at_given_poses,
+    side_of_motion,
+    with_prior_doubts,
+)
 from toolkit.runs.observers import Progress
 from toolkit.runs.settings import RunSettings
 from toolkit.semantics.codes import SemanticCode
@@ -53,11 +61,13 @@ class RunInput:
         frames: what is tracked and mapped.
         motion: of the camera, where it is found before the first frame is mapped.
         correction: see `FrontEnd`.
+        up: the side of the images that is up, where only the motion shows it.
     """
 
     frames: Dataset
     motion: CameraMotion | None = None
     correction: DepthCorrection | None = None
+    up: FoundSide | None = None
 
 
 @dataclass(frozen=True)
@@ -257,17 +267,22 @@ class ImagesAlone(RunMode):
 
     def open(self, run: RunContext) -> RunInput:
         """The keyframes of the motion, whose depth is estimated."""
+        dataset, settings, up = run.dataset, run.settings, None
         with run.recorder.timed(Stage.MOTION):
             motion = self._motion(run)
+            if motion.views:
+                up = side_of_motion(motion, dataset, settings.dataset)
+                motion = in_metres(motion, dataset, settings.scale, up.side)
+        log_doubts(motion, dataset)
         if not motion.views:
-            return RunInput(run.dataset, motion)
+            return RunInput(dataset, motion)
         if run.provider is not None:
-            motion = with_prior_doubts(motion, run.dataset, run.provider, run.settings)
-        sequence = MonocularSequence(run.dataset, motion, run.provider, run.settings.depth_prior)
-        return RunInput(sequence, motion, sequence.correction())
+            motion = with_prior_doubts(motion, dataset, run.provider, settings)
+        sequence = MonocularSequence(dataset, motion, run.provider, settings.depth_prior)
+        return RunInput(sequence, motion, sequence.correction(), up)
 
     def _motion(self, run: RunContext) -> CameraMotion:
-        return estimated_motion(run.dataset, run.settings, run.progress)
+        return estimated_motion(run.dataset, run.progress)
 
     def front_end(self, parts: FrontEndParts) -> FrontEnd:
         """Refines the poses of the motion against the map, in the parts of the motion."""
@@ -341,6 +356,8 @@ class ImagesAtGivenPoses(ImagesAlone):
             raise SettingsError(
                 "--poses given leaves nothing to track; set --depth-prior.use correct"
             )
+        if settings.scale != ScaleOptions():
+            raise SettingsError("--poses given has the scale of the poses; remove --scale")
 
     def _motion(self, run: RunContext) -> CameraMotion:
         return motion_at_given_poses(run.dataset, run.settings, run.progress)

@@ -8,25 +8,27 @@ from dataclasses import replace
 
 from toolkit.base.errors import DatasetError
 from toolkit.base.frame import Frame
+from toolkit.base.geometry.image_sides import ImageSide
 from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.images_only import ImagesOnly
+from toolkit.datasets.options import DatasetOptions
 from toolkit.depth.depth_priors.provider import DepthProvider
+from toolkit.depth.monocular.confirmed_depth import with_confirmed_depth
 from toolkit.depth.monocular.given import motion_of_given_poses
 from toolkit.depth.monocular.motion import FOCAL_ROUNDS, CameraMotion, estimate_motion
+from toolkit.depth.monocular.options import ScaleOptions
 from toolkit.depth.monocular.prior_check import doubt_about_priors
 from toolkit.depth.monocular.scale import with_metric_scale
 from toolkit.runs.expected_time import with_expected_motion_time
-from toolkit.runs.image_side import up_side
+from toolkit.runs.image_side import FoundSide, find_side
 from toolkit.runs.observers import Progress
 from toolkit.runs.settings import RunSettings
 
 _log = logging.getLogger(__name__)
 
 
-def estimated_motion(
-    dataset: RecordedDataset, settings: RunSettings, progress: Progress
-) -> CameraMotion:
-    """Estimate the motion of the camera from the images alone, and log what is not certain."""
+def estimated_motion(dataset: RecordedDataset, progress: Progress) -> CameraMotion:
+    """Estimate the motion of the camera from the images alone."""
     _log.info("Estimating the motion of the camera from the images.")
     total = len(dataset)
     calibrated = dataset.recording.calibrated
@@ -64,19 +66,46 @@ def estimated_motion(
                 motion.frames_in_others,
                 len(motion.others),
             )
-        side = up_side(settings.dataset)
-        motion = with_metric_scale(motion, dataset, dataset.timestamps_s, settings.scale, side)
+    return motion
+
+
+def side_of_motion(
+    motion: CameraMotion, dataset: RecordedDataset, options: DatasetOptions
+) -> FoundSide:
+    """Find the side of the images that is up by the depth of some keyframes of a motion.
+
+    Args:
+        options: may state the side.
+    """
+    # What states or measures the side makes the depth unnecessary.
+    frames = (frame for _, frame in with_confirmed_depth(motion, ImagesOnly(dataset)))
+    return find_side(dataset, frames, options)
+
+
+def in_metres(
+    motion: CameraMotion, dataset: RecordedDataset, options: ScaleOptions, side: ImageSide
+) -> CameraMotion:
+    """Scale a motion by the length that is known, if one is, and log it.
+
+    Args:
+        side: the side of the images that is up.
+    """
+    motion = with_metric_scale(motion, dataset, dataset.timestamps_s, options, side)
     if motion.metric_scale is not None:
         _log.info(
             "The unit of length is the metre, by %s (uncertain by %.1f %%).",
             motion.metric_scale.source,
             100.0 * motion.metric_scale.sigma,
         )
+    return motion
+
+
+def log_doubts(motion: CameraMotion, dataset: RecordedDataset) -> None:
+    """Log why the motion of a sequence is not reliable."""
     for doubt in motion.doubts:
         _log.warning("The result is not reliable: %s.", doubt)
-    if motion.doubts and dataset.ground_truth is not None and calibrated:
+    if motion.doubts and dataset.ground_truth is not None and dataset.recording.calibrated:
         _log.warning("The dataset has poses; --poses given uses them instead.")
-    return motion
 
 
 def with_prior_doubts(

@@ -33,4 +33,4 @@ class ScaleOptions:
     """Indices of the two frames of the known distance."""
     camera_height_m: PositiveFloat | None = None
     """Mean height of the camera above the floor, in metres. The floor must be visible, and the
-    top of the images up unless --dataset.up states another side."""
+    camera held in one way (--dataset.up)."""

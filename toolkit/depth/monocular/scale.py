@@ -13,21 +13,16 @@ from toolkit.base.geometry import se3
 from toolkit.base.geometry.image_sides import ImageSide
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.base import Dataset
-from toolkit.depth.depth_priors.multi_view import MultiViewDepth
+from toolkit.depth.monocular.confirmed_depth import with_confirmed_depth
 from toolkit.depth.monocular.floor import height_above_floor
 from toolkit.depth.monocular.markers import detect_markers, side_length
 from toolkit.depth.monocular.motion import CameraMotion, MetricScale
 from toolkit.depth.monocular.options import ScaleOptions
-from toolkit.splatting.alignment.levels import intensity_of
 
 Array = NDArray[np.float64]
 
-# Keyframes of a long film whose depth is estimated to find the floor, and the step between the
-# pixels used. Few successive keyframes see a part of the room: in the HoloLens walk, 12 keyframes
-# along the film give 1.63 m, and four groups of three take a table for the floor.
-_FLOOR_VIEWS, _FLOOR_STEP = 12, 6
-# Plane sweeps for the depth of a keyframe whose neighbours are not used, too.
-_SWEEPS_PER_VIEW = 7
+# Step between the pixels that the floor is found in.
+_FLOOR_STEP = 6
 # Parts of the film that form two halves alternately.
 _BLOCKS = 8
 # A result that is less certain is not used.
@@ -184,15 +179,11 @@ def _distance(motion: CameraMotion, ends_s: Array) -> _Length | str:
 
 def _camera_height(motion: CameraMotion, dataset: Dataset, side: ImageSide) -> _Length | str:
     """The height above the floor; its uncertainty is the difference between halves of the film."""
-    depth = MultiViewDepth(
-        motion.camera, motion.views, lambda index: intensity_of(dataset[index].rgb).numpy()
-    )
     points = []
-    for number in _floor_views(len(motion.views)):
-        image = depth.depth(number)
-        known = image[_FLOOR_STEP // 2 :: _FLOOR_STEP, _FLOOR_STEP // 2 :: _FLOOR_STEP] > 0
-        seen = motion.camera.unproject(image, _FLOOR_STEP)[known]
-        points.append(se3.transform_points(motion.views[number].T_world_camera, seen))
+    for view, frame in with_confirmed_depth(motion, dataset):
+        sampled = frame.depth_m[_FLOOR_STEP // 2 :: _FLOOR_STEP, _FLOOR_STEP // 2 :: _FLOOR_STEP]
+        seen = motion.camera.unproject(frame.depth_m, _FLOOR_STEP)[sampled > 0]
+        points.append(se3.transform_points(view.T_world_camera, seen))
     blocks = [part for part in np.array_split(np.arange(len(points)), _BLOCKS) if len(part)]
     whole, *halves = (
         height_above_floor(
@@ -209,10 +200,3 @@ def _camera_height(motion: CameraMotion, dataset: Dataset, side: ImageSide) -> _
         return "the floor is visible in too few keyframes"
     difference = abs(halves[1].height - halves[0].height) / whole.height
     return _Length(whole.height, max(whole.sigma, difference), "the height above the floor")
-
-
-def _floor_views(count: int) -> list[int]:
-    """Numbers of the keyframes whose depth is used: all, or as many as take the same time."""
-    if count <= _FLOOR_VIEWS * _SWEEPS_PER_VIEW:
-        return list(range(count))
-    return [int(n) for n in np.linspace(0, count - 1, _FLOOR_VIEWS).round()]

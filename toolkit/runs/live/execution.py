@@ -23,7 +23,7 @@ from toolkit.runs.evaluation.frame_costs import FrameCostRecorder
 from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.execution import check_settings
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.image_side import FoundSide, find_side, up_side
+from toolkit.runs.image_side import FoundSide, find_side, side_seen_afterwards, up_side
 from toolkit.runs.live.camera import LiveCamera
 from toolkit.runs.live.feed import FeedOptions, LiveFeed
 from toolkit.runs.live.frame_writer import FrameWriter
@@ -44,6 +44,7 @@ from toolkit.runs.snapshots import SnapshotWriter
 from toolkit.runs.stopping import StopSignals
 from toolkit.slam.pacing.delays import count_of, delay_statistics
 from toolkit.slam.pacing.paced import PacedSlam
+from toolkit.slam.system import Slam
 
 _log = logging.getLogger(__name__)
 
@@ -180,7 +181,7 @@ def _execute(
     if replayed is not None:
         up = find_side(replayed, spread_frames(replayed), settings.dataset)
         replayed.recording.kept.clear()
-    settings = up.chosen(settings)
+    stated, settings = settings.dataset, up.chosen(settings)
     slam = build_slam(replayed, settings, folder, recorder)
     paced = PacedSlam(slam, settings.pace, settings.pacing) if settings.pace else None
     folder.check_taxonomy(slam.result().taxonomy)
@@ -216,10 +217,9 @@ def _execute(
             )
         if replayed is None:
             frames = _stored(settings, feed.taken, failure)
+            up = _side_seen(frames, stated, slam)
         else:
-            # Those that the run has seen.
-            seen = len(summary.delays)
-            frames = RecordedDataset(replayed.recording, settings.image_size, seen)
+            frames = _first(replayed, settings, len(summary.delays))
         checkpoints.save(system, len(frames))
         checkpoints.wait()
         hooks.signals.check()
@@ -227,13 +227,22 @@ def _execute(
         record = RunRecord(
             recorder, costs.costs(), summary, findings=up.findings, sources=slam.sources
         )
-        write_results(result, frames, folder, settings, record)
+        write_results(result, frames, folder, up.chosen(settings), record)
         session.close_results()
     if source.writer is not None and not options.save_frames:
         source.writer.remove()
         _log.info("Removed the frames of the camera; --save-frames keeps them.")
     if failure is not None:
         raise type(failure)(f"{failure}; the map so far was saved in {folder.path}")
+
+
+def _side_seen(frames: RecordedDataset, stated: DatasetOptions, slam: Slam) -> FoundSide:
+    """The side that was up in the frames of a camera, as far as they were stored."""
+    up = side_seen_afterwards(frames, stated)
+    for finding in up.findings:
+        _log.warning("%s: %s", frames.name, finding)
+    slam.up_side = up.side
+    return up
 
 
 def _closed(writer: FrameWriter | None) -> ToolkitError | None:
@@ -271,6 +280,11 @@ def _stored(settings: RunSettings, count: int, failure: ToolkitError | None) -> 
     if failure is not None and len(dataset) < count:
         raise failure
     return dataset
+
+
+def _first(dataset: RecordedDataset, settings: RunSettings, count: int) -> RecordedDataset:
+    """The first frames of a dataset: those that a run has seen."""
+    return RecordedDataset(dataset.recording, settings.image_size, count)
 
 
 def _logged(summary: LiveSummary) -> LiveSummary:
