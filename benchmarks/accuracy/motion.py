@@ -48,7 +48,7 @@ Job = list[str]
 
 COLUMNS = (
     *("ate_cm", "frames", "frames_lost", "frames_doubtful", "parts", "silently_wrong"),
-    *("keyframes", "steps_per_keyframe", "online_ms_per_frame"),
+    *("keyframes", "steps_per_keyframe"),
 )
 BAD_COLUMNS = (
     *("frames", "frames_lost", "frames_doubtful", "parts", "silently_wrong", "in_wrong_part"),
@@ -165,7 +165,6 @@ such frame of the same part is off by more than 5 cm or 2 degrees, plus the erro
 1.5 cm and 0.5 degrees on RedKitchen, 0.5 cm and 0.3 degrees on fr1/rpy, 2 cm and 0.5 degrees on the
 HoloLens walk, none elsewhere. `ate_cm`: of the final poses of the largest part, after SE(3)
 alignment; none for fewer than three poses. `steps_per_keyframe`: of the map's optimisation.
-`online_ms_per_frame`: without reading images.
 
 Bad inputs have 320x240 pixels. Unrelated photos: 8 frames of each of five scenes in turn. Blank
 wall: 100 frames of a uniform wall in the middle. Then: the first halves of two recordings.

@@ -90,12 +90,10 @@ def semsplat(
     """
     values = overridden(as_plain(RunSettings()), {**(changes or {}), "seed": seed})
     slam = build_slam(dataset, validated(RunSettings, values, "motion"))
-    times_s, online_s, steps = [], 0.0, []
+    times_s, steps = [], []
     for index in range(len(dataset)):
         frame = dataset[index]
-        begin = time.perf_counter()
         mapping = slam.process_frame(frame).mapping
-        online_s += time.perf_counter() - begin
         times_s.append(frame.timestamp_s)
         steps.append(getattr(mapping, "steps", None))
     result = slam.finish()
@@ -108,7 +106,6 @@ def semsplat(
         {
             "keyframes": len(result.keyframe_indices),
             "steps_per_keyframe": float(np.mean(counted)) if counted else None,
-            "online_ms_per_frame": 1e3 * online_s / len(dataset),
         },
     )
 
