@@ -27,12 +27,20 @@ def test_a_frame_is_made_ready_once(room, monkeypatch):
     assert first is second and len(first.levels) == 3
 
 
-def test_labels_added_since_change_nothing(room):
+def test_a_frame_that_is_asked_for_again_is_not_made_ready_again(room, monkeypatch):
     ahead = PreparedFrames(levels=2)
-    ahead.prepare(room.frames[1], CPU)
+    first = ahead.of(room.frames[1], CPU)
+    monkeypatch.setattr(module, "prepared", lambda *_: pytest.fail("made ready again"))
+    assert ahead.of(room.frames[1], CPU) is first
+
+
+def test_labels_added_since_are_those_of_the_frame(room):
+    ahead = PreparedFrames(levels=2)
+    first = ahead.of(room.frames[1], CPU)
     labels = np.ones_like(room.frames[1].depth_m, dtype=np.int32)
-    held = ahead.of(replace(room.frames[1], labels=labels), CPU)
-    assert held.frame is room.frames[1]
+    labelled = replace(room.frames[1], labels=labels)
+    held = ahead.of(labelled, CPU)
+    assert held.frame is labelled and held.levels is first.levels
 
 
 def test_other_images_of_the_same_number_are_not_mistaken(room):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -77,20 +77,22 @@ class PreparedFrames:
 
     def prepare(self, frame: Frame, device: torch.device) -> None:
         """Preprocess a frame that will be tracked soon, and cache the result."""
-        new = prepared(frame, self._levels, device, self._max_width)
-        with self._lock:
-            self._cache = [*self._cache, new][-_MAX_FRAMES:]
+        self._prepared(frame, device)
 
     def of(self, frame: Frame, device: torch.device) -> PreparedFrame:
-        """The preprocessed frame, from the cache or computed now; earlier frames are removed.
-
-        Labels may have been added to the frame since `prepare`.
-        """
+        """The preprocessed frame, from the cache or computed now; earlier frames are removed."""
         with self._lock:
             self._cache = [p for p in self._cache if p.frame.index >= frame.index]
             cached = list(self._cache)
         for p in cached:
             same = p.frame.rgb is frame.rgb and p.frame.depth_m is frame.depth_m
             if same and p.levels[0].depth_m.device == device:
-                return p
-        return prepared(frame, self._levels, device, self._max_width)
+                # Labels may have been added since.
+                return p if p.frame is frame else replace(p, frame=frame)
+        return self._prepared(frame, device)
+
+    def _prepared(self, frame: Frame, device: torch.device) -> PreparedFrame:
+        new = prepared(frame, self._levels, device, self._max_width)
+        with self._lock:
+            self._cache = [*self._cache, new][-_MAX_FRAMES:]
+        return new
