@@ -1,0 +1,1 @@
+"""Measures a finished run: poses, images, depth, classes, times, and the report about them."""

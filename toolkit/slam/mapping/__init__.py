@@ -1,0 +1,1 @@
+"""Extends and optimises a submap: keyframes, seeding, pruning, free space, colours and classes."""

@@ -1,0 +1,1 @@
+"""What the optimisation of a map minimises, and its gradients."""

@@ -1,0 +1,1 @@
+"""The programs of `semsplat`: their options, messages and exit status."""
