@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-import torch
 
-from toolkit.base.errors import DatasetError, DependencyError, FormatError
+from toolkit.base.errors import DatasetError, FormatError
 from toolkit.base.frame import Frame
 from toolkit.base.geometry.camera import Camera
 from toolkit.semantics.taxonomy_building.measured_shapes import (
@@ -18,7 +14,6 @@ from toolkit.semantics.taxonomy_building.measured_shapes import (
     ScanShapes,
     labelled_scan,
 )
-from toolkit.semantics.taxonomy_building.mesh_model_shapes import MeshModelShapes
 from toolkit.semantics.taxonomy_building.shape_statistics import (
     STATISTICS,
     instances,
@@ -213,58 +208,3 @@ def test_broken_tables_name_themselves(tmp_path, name, text, message):
 
 def test_given_shapes_are_for_those_who_have_them():
     assert GivenShapes({}).embeddings(["cup"]) == {}
-
-
-class FakeTransformer:
-    """Answers like MeshGPT: codes with an end, and a codebook behind them."""
-
-    def __init__(self):
-        codebook = torch.tensor([[1.0, 0.0], [0.0, 1.0], [5.0, 5.0]])
-        self.autoencoder = SimpleNamespace(
-            num_vertices_per_face=3,
-            num_quantizers=2,
-            quantizer=SimpleNamespace(get_output_from_indices=lambda c: codebook[c].sum(dim=-2)),
-        )
-        self.asked = []
-
-    def eval(self):
-        return self
-
-    def generate(self, texts, **options):
-        self.asked.append((texts, options))
-        codes = {"cup": [[0, 0], [1, 1], [-1, -1]], "tv stand": [[2, 2], [2, 0], [-1, -1]]}
-        return torch.tensor([codes.get(texts[0], [[-1, -1]] * 3)])
-
-
-@pytest.fixture
-def mesh_model(monkeypatch, tmp_path):
-    transformer = FakeTransformer()
-    package = SimpleNamespace(
-        MeshTransformer=SimpleNamespace(from_pretrained=lambda path, local_files_only: transformer)
-    )
-    monkeypatch.setitem(sys.modules, "meshgpt_pytorch", package)
-    return MeshModelShapes(tmp_path, max_faces=10), transformer, package
-
-
-def test_a_mesh_model_gives_the_mean_vector_of_real_codes(mesh_model):
-    shapes, transformer, _ = mesh_model
-    found = shapes.embeddings(["cup", "tv-stand", "nothing"])
-    assert {k: v.tolist() for k, v in found.items()} == {"cup": [1, 1], "tv-stand": [8, 7.5]}
-    options = transformer.asked[0][1]
-    assert options["max_seq_len"] == 60 and options["temperature"] == 0 and options["return_codes"]
-
-
-def test_what_a_mesh_model_lacks_is_said(mesh_model, monkeypatch, tmp_path):
-    shapes, _, package = mesh_model
-
-    def broken(path, local_files_only):
-        raise RuntimeError("size\nmismatch")
-
-    package.MeshTransformer.from_pretrained = broken
-    with pytest.raises(DependencyError, match=r"does not contain a Mesh.*\(size mismatch\)"):
-        shapes.embeddings(["cup"])
-    monkeypatch.setitem(sys.modules, "meshgpt_pytorch", None)
-    with pytest.raises(DependencyError, match="pip install meshgpt-pytorch"):
-        shapes.embeddings(["cup"])
-    with pytest.raises(DependencyError, match=r"weights .* are missing"):
-        MeshModelShapes(tmp_path / "absent").embeddings(["cup"])
