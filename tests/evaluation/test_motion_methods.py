@@ -132,4 +132,4 @@ def test_semsplat_is_measured_on_a_case(tiny_recording: Path):
     found = motion_metrics(semsplat(dataset, 0, motion.SETTINGS), dataset.truth)
     assert (found["frames"], found["frames_lost"], found["silently_wrong"]) == (3, 0, 0)
     assert found["ate_cm"] < 2.0
-    assert found["keyframes"] >= 1 and found["online_ms_per_frame"] > 0.0
+    assert found["keyframes"] >= 1

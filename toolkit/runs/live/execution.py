@@ -239,6 +239,7 @@ def _execute(
 def _side_seen(frames: RecordedDataset, stated: DatasetOptions, slam: Slam) -> FoundSide:
     """The side that was up in the frames of a camera, as far as they were stored."""
     up = side_seen_afterwards(frames, stated)
+    frames.recording.kept.clear()
     for finding in up.findings:
         _log.warning("%s: %s", frames.name, finding)
     slam.up_side = up.side
