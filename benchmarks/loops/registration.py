@@ -20,15 +20,11 @@ from benchmarks.shared.results_file import RESULTS, Results, current_header
 from benchmarks.shared.runner import publish
 from benchmarks.shared.tables import Table, Target, target_table
 from toolkit.base.geometry import se3
-from toolkit.semantics.features.builtin import BuiltinEncoder
-from toolkit.semantics.features.sources import ViewDescriber
 from toolkit.slam.loops.registration.coarse import CoarseRegistration
 from toolkit.slam.loops.registration.fine import FineRegistration
-from toolkit.slam.loops.registration.first_order_fine import FirstOrderFineRegistration
 from toolkit.slam.loops.registration.options import RegistrationOptions
 from toolkit.slam.loops.registration.result import RegistrationResult
 from toolkit.slam.loops.registration.sgr import SemanticGuidedRegistration
-from toolkit.slam.loops.registration.views import ViewRenderer
 from toolkit.slam.loops.verification import rejection_reason
 
 SUCCESS_M, SUCCESS_DEG = 0.05, 2.0
@@ -79,17 +75,13 @@ class Methods:
     def __init__(self, pair: Pair, seed: int) -> None:
         self._pair, self._seed = pair, seed
         self._coarse: dict[tuple[str, bool], tuple[CoarseRegistration, float]] = {}
-        default, printed = RegistrationOptions(), RegistrationOptions(optimiser="first-order")
+        default = RegistrationOptions()
         self.rows: dict[str, Callable[[], Timed]] = {
             "coarse, Z = I (G-5)": lambda: self._first(replace(default, offsets="none")),
             "coarse": lambda: self._first(default),
             "fine (start)": self._fine,
-            "SGR": lambda: self._both(default),
-            "SGR (start)": lambda: self._both(default, started=True),
-            "SGR, first-order fine (G-6)": lambda: self._both(printed),
-            "SGR, first-order fine, no feature term": lambda: self._both(
-                replace(printed, feature=0.0)
-            ),
+            "SGR": self._both,
+            "SGR (start)": lambda: self._both(started=True),
         }
 
     def _first(self, options: RegistrationOptions) -> Timed:
@@ -102,11 +94,8 @@ class Methods:
         result = FineRegistration().register(pair.target, pair.source, pair.start)
         return Timed(result, 0.0, time.perf_counter() - begin)
 
-    def _both(self, options: RegistrationOptions, started: bool = False) -> Timed:
-        renderer, refiner = ViewRenderer(), None
-        if options.optimiser == "first-order":
-            refiner = FirstOrderFineRegistration(options, renderer, ViewDescriber(BuiltinEncoder()))
-        sgr = SemanticGuidedRegistration(options, renderer, refiner, self._seed)
+    def _both(self, started: bool = False) -> Timed:
+        sgr = SemanticGuidedRegistration(seed=self._seed)
         coarse, first_s = self._coarse_stage(sgr, started)
         begin = time.perf_counter()
         start = self._pair.start if started else None
