@@ -42,8 +42,6 @@ class Options(ReportOptions):
 
     seeds: int = 1
     """Seeds 0, 1, ... of each row, which is their median."""
-    name: str = ""
-    """Name of the results file, if not the usual one."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ class Page(Generic[Job]):
 
     def write(self, options: Options) -> None:
         """Measure rows and write the page."""
-        text = options.name or self.name, self.title, self.description
+        text = self.name, self.title, self.description
         report = Report(*text, options, range(options.seeds), measures=self.measures)
         rows = report.measured(self.jobs, self.measure)
         judged = [target_table(self.targets(rows))] if self.targets else []

@@ -184,8 +184,6 @@ def test_a_page_has_medians_and_targets(code: dict[str, str], tmp_path: Path) ->
     results = read_results(tmp_path / "tiny.md")
     assert results.table().rows == (("first", "11"), ("second", "21"))
     assert results.table("Targets").cell("value of first", "result") == "met"
-    page.write(Options(out=tmp_path, seeds=1, name="other"))
-    assert read_results(tmp_path / "other.md").table().rows == (("first", "10"), ("second", "20"))
 
 
 def test_runs_of_other_machines_are_not_found(
