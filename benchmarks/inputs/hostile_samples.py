@@ -221,7 +221,7 @@ def _write_many_class_names(folder: Path) -> None:
 
 
 def write_masks(folder: Path) -> None:
-    """Images of ids with columns beside them, and embeddings of objects."""
+    """Images of ids with columns beside them."""
     ids = np.repeat(np.arange(3, dtype=np.uint16), HEIGHT * WIDTH // 3).reshape(HEIGHT, WIDTH)
     cv2.imwrite(str(folder / "000000.png"), ids)
     embeddings = np.eye(2, 4, dtype=np.float32)
