@@ -67,18 +67,19 @@ QUICK ?=
 tables: ready
 	.venv/bin/python -m benchmarks.papers.tables $(QUICK)
 ifndef QUICK
-	.venv/bin/python -m benchmarks.monocular.prior_tracking
 	.venv/bin/python -m benchmarks.semantics.trees room
 	.venv/bin/python -m benchmarks.semantics.trees many-classes
 endif
 
-# Everything that README quotes but `make tables` and the registration of submaps.
+# Everything that README quotes but `make tables`.
 figures: ready
 	.venv/bin/python -m benchmarks.accuracy.sequences
 	.venv/bin/python -m benchmarks.semantics.codes quality
 	.venv/bin/python -m benchmarks.semantics.codes room
 	for recording in redkitchen fr1_rpy office0; do \
 		.venv/bin/python -m benchmarks.accuracy.compare_open3d $$recording || exit; done
+	.venv/bin/python -m benchmarks.loops.ring
+	.venv/bin/python -m benchmarks.loops.registration
 	.venv/bin/python -m benchmarks.stale --write
 	.venv/bin/python -m benchmarks.readme_figures
 

@@ -1,1 +1,1 @@
-"""Trajectories and maps: sequences, hard motion, covariances, presets, Open3D."""
+"""Trajectories and maps: sequences, hard motion, covariances, Open3D."""

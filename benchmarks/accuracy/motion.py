@@ -176,9 +176,9 @@ Interruptions of the way along the corridor: the frame in the middle in place of
 Rivals: Open3D's hybrid odometry, started from constant velocity, with 30, 20 and 10 iterations;
 OpenCV's `Odometry` of colour and depth with its defaults, which reports a failure if the motion
 exceeds 15 cm or 15 degrees; both ignore depth beyond 4 m. ORB-SLAM3 (orbslam3-python with depth and
-a vocabulary as in monocular_rivals.md) is given the strides only, slowly enough for its mapping
-thread. A rival's frames are lost where it reports a failure; later ones are another part. Half and
-double speed make no difference to them."""
+a vocabulary of 40 images of each of eleven sequences) is given the strides only, slowly enough for
+its mapping thread. A rival's frames are lost where it reports a failure; later ones are another
+part. Half and double speed make no difference to them."""
 
 
 @dataclass(frozen=True, kw_only=True)

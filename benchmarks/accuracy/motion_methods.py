@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from benchmarks.accuracy.motion_cases import CaseDataset, MixedDataset
 from benchmarks.accuracy.silent_errors import Array, Estimate
-from benchmarks.shared.recordings import RECORDINGS, room
+from benchmarks.shared.recordings import source_of
 from toolkit.base.frame import Frame
 from toolkit.base.geometry import se3
 from toolkit.base.options import as_plain, validated
@@ -74,10 +74,8 @@ def recorded(sequence: str, image_size: ImageSize, seed: int = 0) -> RecordedDat
 
 
 def _described(sequence: str, seed: int = 0) -> tuple[Recording, ImageSize | None]:
-    if sequence in RECORDINGS:
-        found = RECORDINGS[sequence]
-        return describe(found.kind, found.path), found.image_size
-    return describe("synthetic", room(sequence, seed)), None
+    kind, path, image_size = source_of(sequence, seed)
+    return describe(kind, path), image_size
 
 
 def semsplat(
@@ -209,16 +207,11 @@ def open3d_odometry(dataset: CaseDataset) -> Estimate:
 
 
 def orbslam3(dataset: CaseDataset) -> Estimate:
-    """Final poses of ORB-SLAM3 with depth; each of its maps is a part.
-
-    The package returns the poses of only those frames whose keyframe is still in a map.
-    """
-    from benchmarks.monocular.methods import tracked_by_orbslam3
-    from benchmarks.monocular.rivals import vocabulary
+    """Final poses of ORB-SLAM3 with depth; each of its maps is a part."""
+    from benchmarks.accuracy.orbslam3 import tracked_by_orbslam3
 
     with tempfile.TemporaryDirectory() as folder:
-        given = dataset, dataset.camera, Path(folder), vocabulary()
-        maps, found = tracked_by_orbslam3(*given, depth=True)
+        maps, found = tracked_by_orbslam3(dataset, dataset.camera, Path(folder))
     times_s = dataset.timestamps_s
     map_of = {time_s: number for number, own in enumerate(maps) for time_s in own}
     final = {t: se3.inverse(np.asarray(T, np.float64)) for t, T in found if t in map_of}

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.shared.recordings import RECORDINGS, room
+from benchmarks.shared.recordings import source_of
 from benchmarks.shared.runner import Page
 from benchmarks.shared.tables import Metrics, Rows, Table, table_of
 from toolkit.base.geometry import se3
@@ -151,11 +151,8 @@ def table(rows: Rows) -> Table:
 
 def strided(name: str, stride: int) -> RecordedDataset:
     """Every n-th frame of a sequence, as in a run, with the ground truth of all frames."""
-    recording = RECORDINGS.get(name)
-    if recording is None:
-        described, size = describe("synthetic", room(name)), None
-    else:
-        described, size = describe(recording.kind, recording.path), recording.image_size
+    kind, path, size = source_of(name)
+    described = describe(kind, path)
     shown = replace(described, files=described.files[::stride])
     if shown.readout_s is None:
         shown = with_readout(shown, estimate_readout(shown))
@@ -164,11 +161,8 @@ def strided(name: str, stride: int) -> RecordedDataset:
 
 def run(name: str, dataset: RecordedDataset) -> SlamResult:
     """Run the system without the final refinement, which does not move poses."""
-    recording = RECORDINGS.get(name)
-    kind = "synthetic" if recording is None else recording.kind
-    settings = validated(
-        RunSettings, {"dataset": {"kind": kind}, "mapping": {"final_iterations": 0}}
-    )
+    values = {"dataset": {"kind": source_of(name).kind}, "mapping": {"final_iterations": 0}}
+    settings = validated(RunSettings, values)
     slam = build_slam(dataset, settings)
     for frame in dataset:
         slam.process_frame(frame)

@@ -1,1 +1,1 @@
-"""The code itself: structure, mutation testing, hashes of results."""
+"""The code itself: mutation testing, hashes of results."""

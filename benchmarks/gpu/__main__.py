@@ -37,7 +37,7 @@ CHANNELS = (4, 18, 30, 105)
 MILLIONS = (0.5, 1.0, 3.0)
 SIZE = (1200, 680)
 PARTS = ("check", "render", "frames", "papers", "recordings")
-ON_DEMAND = ("tunings", "profile")
+ON_DEMAND = ("profile",)
 
 
 def compile_table(channels: tuple[int, ...], capabilities: tuple[int, ...]) -> None:
@@ -86,8 +86,6 @@ def measure(plan: Plan, parts: list[str], recordings: list[tuple[str, str]]) -> 
     if "render" in parts:
         render.render_table(plan)
         render.ellipsoids_table(plan)
-    if "tunings" in parts:
-        render.tunings_table(plan)
     if "frames" in parts:
         frames.frame_table(plan)
     if "papers" in parts:

@@ -1,15 +1,13 @@
-"""The renderer on a GPU: correctness, times beside gsplat and the floors, other tunings."""
+"""The renderer on a GPU: correctness, times beside gsplat and the floors."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 import torch
-from triton.runtime.errors import OutOfResources, PTXASError
 
 from benchmarks.gpu.report import UNTIMED, Plan, medians_ms, row, table
 from benchmarks.gpu.scene import camera_of, surface_cloud, touched_pixels, with_ellipsoids
@@ -20,25 +18,8 @@ from toolkit.base.native.constants import NEAR_M
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.splatting.rendering import backend
 from toolkit.splatting.rendering.backend import Backend, ForwardPass
-from toolkit.splatting.rendering.cuda.backend import CudaRenderer
-from toolkit.splatting.rendering.cuda.tuning import Tuning
 from toolkit.splatting.rendering.gsplat import GsplatBackend, load_gsplat
 from toolkit.splatting.rendering.reference import ReferenceBackend
-
-SHIPPED = Tuning()
-TUNINGS = {
-    "as shipped": SHIPPED,
-    "narrow 1 warp": replace(SHIPPED, narrow_warps=1),
-    "narrow 4 warps": replace(SHIPPED, narrow_warps=4),
-    "wide 2 warps": replace(SHIPPED, warps=2),
-    "wide 8 warps": replace(SHIPPED, warps=8),
-    "batches of 32": replace(SHIPPED, batch=32),
-    "tiles of 16, 8 warps": replace(SHIPPED, side=16, warps=8, narrow_warps=8),
-    "forward by 32 channels": replace(SHIPPED, channels_forward=32),
-    "forward by 64 channels": replace(SHIPPED, channels_forward=64),
-    "backward by 16 channels": replace(SHIPPED, channels_backward=16),
-    "float32 products": replace(SHIPPED, precision="tf32x3"),
-}
 
 
 @functools.cache
@@ -263,25 +244,9 @@ def ellipsoids_table(plan: Plan) -> None:
         row(count, channels, *times)
 
 
-def tunings_table(plan: Plan) -> None:
-    """Other sizes of tiles, batches, channel blocks and programs than those shipped."""
-    table("Tunings", "Gaussians", "channels", "tuning", "forward ms", "backward ms")
-    camera = camera_of(*plan.size)
-    tunings = TUNINGS if plan.timed else dict(list(TUNINGS.items())[:2])
-    for count in plan.counts:
-        for channels in plan.channels:
-            cloud = surface_cloud(camera, count, channels - 4).to(plan.device)
-            for name, tuning in tunings.items():
-                steps = _steps(OurContest(CudaRenderer(tuning), cloud, camera))
-                row(count, channels, name, *_times(steps, plan))
-
-
 def _times(steps: dict[str, Callable[[], object]], plan: Plan) -> list[object]:
     if not plan.timed:
         for step in steps.values():
             step()
         return [UNTIMED] * len(steps)
-    try:
-        return list(medians_ms(steps, plan.repeats).values())
-    except (OutOfResources, PTXASError):  # registers or shared memory for one program
-        return ["-"] * len(steps)
+    return list(medians_ms(steps, plan.repeats).values())

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.shared.programs import semsplat_command
-from benchmarks.shared.recordings import RECORDINGS, SHORT_ROOMS, room
+from benchmarks.shared.recordings import RECORDINGS, SHORT_ROOMS, source_of
 from benchmarks.shared.runner import Page
 from benchmarks.shared.tables import Metrics, Rows, Table, table_of
 from toolkit.base.options import validated
@@ -100,11 +100,8 @@ def measure(job: Mapping[str, Any], _seed: int) -> Metrics:
         if (folder / "priors").is_dir():
             return _run_outcome(folder) | right
         return checked(describe("folder", folder / "data")) | right
-    name, known = job["name"], RECORDINGS.get(job["name"])
-    if known is None:
-        recording = describe("synthetic", room(name))
-    else:
-        recording = describe(known.kind, known.path)
+    kind, path, _ = source_of(job["name"])
+    recording = describe(kind, path)
     if "error" in job:
         factor, k1 = _ERRORS[job["error"]]
         camera, (own, *others) = recording.camera, recording.distortion or (0.0,) * 5

@@ -8,13 +8,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
 
-from benchmarks.shared.recordings import RECORDINGS, room
+from benchmarks.shared.recordings import source_of
 from benchmarks.shared.runner import Report, ReportOptions
 from benchmarks.shared.runs import finished_slam
 from benchmarks.shared.tables import Metrics, Rows, Table, median_cell, table_of
@@ -100,14 +99,8 @@ def each_seed(rows: Rows) -> list[Table]:
 
 
 def measure(job: Values, seed: int) -> Metrics:
-    """Metrics of one run with these settings of loop closure, without refinement.
-
-    Args:
-        job: its "instances" are the kind of masks, those of the folder being true ones.
-    """
-    kind, place = location(job["sequence"], seed)
-    masks = job.get("instances", "none")
-    folder = str(place / "instances") if masks == "folder" else None
+    """Metrics of one run with these settings of loop closure, without refinement."""
+    kind, place, _ = source_of(job["sequence"], seed)
     settings = validated(
         RunSettings,
         {
@@ -115,7 +108,6 @@ def measure(job: Values, seed: int) -> Metrics:
             "image_size": job["image_size"],
             "mapping": {"final_iterations": 0},
             "loops": job["loops"],
-            "instances": {"kind": masks, "path": folder},
             "seed": seed,
         },
     )
@@ -125,13 +117,6 @@ def measure(job: Values, seed: int) -> Metrics:
             "edges": len(run.result.loops),
             "edges_false": false_edges(run.result, dataset),
         }
-
-
-def location(name: str, seed: int) -> tuple[str, Path]:
-    """Kind and folder of a recording or a synthetic sequence."""
-    if name in RECORDINGS:
-        return RECORDINGS[name].kind, RECORDINGS[name].path
-    return "synthetic", room(name, seed)
 
 
 def false_edges(result: SlamResult, dataset: Dataset) -> int:

@@ -1,7 +1,7 @@
-"""Pairs of submaps with a known relative pose, for `registration.py`.
+"""Pairs of submaps of RedKitchen with a known relative pose, for `registration.py`.
 
-A pool of submaps is mapped once from a recording, each in an arbitrary coordinate frame; no frame
-of the recording is in both submaps of a pair. Pairs are drawn from the pool by their overlap.
+Submaps are mapped along the recording, each in an arbitrary coordinate frame; no frame of the
+recording is in both submaps of a pair. Pairs are drawn by their overlap.
 """
 
 from __future__ import annotations
@@ -14,20 +14,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.shared.recordings import RECORDINGS
-from toolkit.base.frame import Frame
+from benchmarks.shared.recordings import source_of
 from toolkit.base.geometry import se3
 from toolkit.base.keyframe import Keyframe
+from toolkit.datasets.base import RecordedDataset
 from toolkit.datasets.registry import open_dataset
-from toolkit.datasets.synthetic_rooms import SensorModel, tiny_room
-from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
 from toolkit.runs.settings import RunSettings
-from toolkit.semantics.factory import build_code
 from toolkit.semantics.features.factory import build_describer
 from toolkit.semantics.features.sources import ViewDescriber
-from toolkit.semantics.taxonomy_building.factory import choose_taxonomy
 from toolkit.slam.mapping.mapper import Mapper
-from toolkit.slam.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.slam.submaps.submap import Submap
 from toolkit.slam.tracking.depth_filter import denoised
 
@@ -39,15 +34,6 @@ FEWEST, MOST = 5, 9  # keyframes of a submap
 LEAST_OVERLAP = 0.3
 FAR_M = 5.0  # how far a submap's frame may lie from its first camera
 MOST_M, MOST_DEG = 0.5, 30.0  # of the offset of a start
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Frames, their poses, and how to read their labels."""
-
-    frames: Sequence[Frame]
-    T_world_camera: Array
-    semantics: SemanticMapping
 
 
 @dataclass(frozen=True)
@@ -66,60 +52,44 @@ class Pair:
     Attributes:
         start: the truth after a motion of the source's first camera of up to MOST_M, MOST_DEG.
         overlap: share of the source's observed points that some target keyframe observed too.
-        semantics: reads both.
     """
 
-    name: str
     target: Submap
     source: Submap
     T_target_source: Array
     start: Array
     overlap: float
-    semantics: SemanticMapping
 
 
-def room(frames: int, size: tuple[int, int], seed: int, noise: bool) -> Recording:
-    """A synthetic room with its true labels, with or without sensor noise."""
-    made, truth = tiny_room(frames, *size, seed, SensorModel() if noise else None)
-    settings = RunSettings()
-    tree = choose_taxonomy("auto", {number: name for name, number in CLASS_IDS.items()})
-    code = build_code(settings.semantics.code, tree)
-    semantics = build_semantic_mapping(settings.semantics, code, seed)
-    return Recording(made, truth.T_world_camera, semantics)
-
-
-def kitchen(size: tuple[int, int]) -> Recording:
-    """RedKitchen, out and back, without labels."""
-    dataset = open_dataset("seven-scenes", RECORDINGS["redkitchen"].path, size, None)
-    assert dataset.ground_truth is not None
-    frames = [dataset[i] for i in range(len(dataset))]
-    return Recording(frames, dataset.ground_truth.T_world_camera, SemanticMapping())
-
-
-def pool(recording: Recording, generator: np.random.Generator) -> list[Piece]:
-    """Submaps along a recording."""
+def kitchen_pairs(count: int, seed: int) -> list[Pair]:
+    """At most so many pairs of submaps of RedKitchen, which goes out and back."""
+    generator = np.random.default_rng(seed)
+    dataset = open_dataset(*source_of("redkitchen"))
     describer = build_describer(RunSettings().loops.features)
     pieces = []
-    for first in range(0, len(recording.frames) - FEWEST * STEP, SPACING):
+    for first in range(0, len(dataset) - FEWEST * STEP, SPACING):
         last = first + STEP * int(generator.integers(FEWEST, MOST + 1))
-        numbers = range(first, min(last, len(recording.frames)), STEP)
-        pieces.append(piece(recording, numbers, describer, generator))
-    return pieces
+        numbers = range(first, min(last, len(dataset)), STEP)
+        pieces.append(piece(dataset, numbers, describer, generator))
+    return draw_pairs(pieces, count, generator)
 
 
 def piece(
-    recording: Recording, numbers: range, describer: ViewDescriber, generator: np.random.Generator
+    dataset: RecordedDataset,
+    numbers: range,
+    describer: ViewDescriber,
+    generator: np.random.Generator,
 ) -> Piece:
     """Some frames mapped at their true poses, in an arbitrary coordinate frame."""
-    settings = RunSettings()
-    mapper = Mapper(settings.mapping, generator, semantics=recording.semantics)
+    assert dataset.ground_truth is not None
+    T_world_camera = dataset.ground_truth.T_world_camera
+    mapper = Mapper(RunSettings().mapping, generator)
     submap = mapper.first_submap()
-    T_submap_world = anywhere(generator) @ se3.inverse(recording.T_world_camera[numbers[0]])
+    T_submap_world = anywhere(generator) @ se3.inverse(T_world_camera[numbers[0]])
     for i in numbers:
-        frame = recording.frames[i]
+        frame = dataset[i]
         frame = replace(frame, depth_m=denoised(frame.depth_m))
-        keyframe = Keyframe.from_frame(frame, T_submap_world @ recording.T_world_camera[i])
-        mapper.add_keyframe(submap, keyframe)
+        mapper.add_keyframe(submap, Keyframe.from_frame(frame, T_submap_world @ T_world_camera[i]))
     pictures = torch.stack([keyframe.rgb for keyframe in submap.keyframes]) / 255.0
     submap.descriptors = describer.describe(pictures).numpy()
     return Piece(submap, se3.inverse(T_submap_world), frozenset(numbers))
@@ -133,38 +103,28 @@ def anywhere(generator: np.random.Generator) -> Array:
     return se3.from_rotation_translation(R, generator.uniform(-FAR_M, FAR_M, size=3))
 
 
-def draw_pairs(
-    pieces: list[Piece],
-    count: int,
-    semantics: SemanticMapping,
-    generator: np.random.Generator,
-    name: str,
-) -> list[Pair]:
-    """At most so many pairs, their overlaps as evenly spread over 30-100 % as the pool has them.
+def draw_pairs(pieces: Sequence[Piece], count: int, generator: np.random.Generator) -> list[Pair]:
+    """At most so many pairs, their overlaps as evenly spread over 30-100 % as the pieces have them.
 
     The submap with more keyframes is the target (G).
     """
     possible = []
-    for a, b in combinations(range(len(pieces)), 2):
-        if pieces[a].frames & pieces[b].frames:
+    for pair in combinations(pieces, 2):
+        if pair[0].frames & pair[1].frames:
             continue
-        if len(pieces[a].frames) < len(pieces[b].frames):
-            a, b = b, a
-        share = overlap(pieces[a], pieces[b])
+        target, source = sorted(pair, key=lambda own: -len(own.frames))
+        share = overlap(target, source)
         if share >= LEAST_OVERLAP:
-            possible.append((share, a, b))
+            possible.append((share, target, source))
     pairs: list[Pair] = []
     while possible and len(pairs) < count:
         wanted = generator.uniform(LEAST_OVERLAP, 1.0)
-        nearest = int(np.argmin([abs(share - wanted) for share, _, _ in possible]))
-        share, a, b = possible.pop(nearest)
-        target, source = pieces[a], pieces[b]
+        nearest = int(np.argmin([abs(share - wanted) for share, *_ in possible]))
+        share, target, source = possible.pop(nearest)
         truth = se3.inverse(target.T_world_submap) @ source.T_world_submap
         camera = source.submap.keyframes[0].T_map_camera
         start = truth @ camera @ offset(generator) @ se3.inverse(camera)
-        pairs.append(
-            Pair(f"{name} {a}-{b}", target.submap, source.submap, truth, start, share, semantics)
-        )
+        pairs.append(Pair(target.submap, source.submap, truth, start, share))
     return pairs
 
 

@@ -1,1 +1,1 @@
-"""Runs without depth: motion, depth from images, tracking on depth priors."""
+"""Runs without depth: motion, maps, depth from images."""

@@ -13,11 +13,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.shared.recordings import RECORDINGS, room
+from benchmarks.shared.recordings import opened
 from benchmarks.shared.runner import Page
 from benchmarks.shared.tables import Metrics, table_of
 from toolkit.datasets.base import RecordedDataset
-from toolkit.datasets.registry import open_dataset
 from toolkit.depth.depth_priors.multi_view import EstimatedDepth, MultiViewDepth, SweptKeyframe
 from toolkit.depth.monocular.motion import estimate_motion
 from toolkit.splatting.alignment.levels import intensity_of
@@ -64,7 +63,7 @@ a fraction of the same pixels. Times are medians of one keyframe on all threads.
 
 def measure(job: list[str | int | None], _seed: int) -> Metrics:
     """Depth of some keyframes of a sequence."""
-    dataset = _opened(str(job[0]))
+    dataset = opened(str(job[0]))
     step = job[1]
     views = _estimated(dataset) if step is None else _true(dataset, int(step))
     images = {view.frame: intensity_of(dataset[view.frame].rgb).numpy() for view in views}
@@ -89,13 +88,6 @@ def _timed(run: Callable[[], Found]) -> tuple[Found, float]:
     begin = time.perf_counter()
     found = run()
     return found, 1e3 * (time.perf_counter() - begin)
-
-
-def _opened(sequence: str) -> RecordedDataset:
-    recording = RECORDINGS.get(sequence)
-    if recording is None:
-        return open_dataset("synthetic", room(sequence))
-    return open_dataset(recording.kind, recording.path, recording.image_size)
 
 
 def _true(dataset: RecordedDataset, step: int) -> list[SweptKeyframe]:

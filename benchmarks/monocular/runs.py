@@ -34,12 +34,8 @@ def measure(job: dict[str, Any], seed: int) -> Metrics:
     dataset = opened(job["sequence"], seed)
     source = sequence_arguments(job["sequence"], seed)
     if job["film"]:
-        source = [
-            "--dataset.kind",
-            "video",
-            "--dataset.path",
-            str(_film(f"{job['sequence']}-{seed}", dataset)),
-        ]
+        film = _film(f"{job['sequence']}-{seed}", dataset)
+        source = ["--dataset.kind", "video", "--dataset.path", str(film)]
     with finished_run([*source, "--depth", "none", *job["options"]], seed) as (metrics, folder):
         found = folder.read_trajectory() if folder.trajectory.exists() else None
     truth = dataset.ground_truth

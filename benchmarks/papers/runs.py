@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from benchmarks.shared.programs import semsplat_command
-from benchmarks.shared.recordings import RECORDINGS, room
+from benchmarks.shared.recordings import source_of
 from benchmarks.shared.repository import source_digest
 from benchmarks.shared.runner import WORK
 from benchmarks.shared.tables import Metrics
@@ -59,11 +59,8 @@ class Place:
 
     def planned(self, quick: bool) -> Values:
         """The sequence as a plan describes it; a room is rendered if it does not exist yet."""
-        recording = RECORDINGS.get(self.name)
-        if recording is None:
-            dataset = {"kind": "synthetic", "path": str(room(self.name, self.room_seed))}
-        else:
-            dataset = {"kind": recording.kind, "path": str(recording.path)}
+        kind, path, _ = source_of(self.name, self.room_seed)
+        dataset = {"kind": kind, "path": str(path)}
         options = {"image_size": list(self.size), **self.options}
         frames = QUICK_FRAMES if quick else self.frames
         if frames is not None:

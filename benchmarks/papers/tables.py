@@ -36,9 +36,10 @@ mIoU of all classes of the truth. LPIPS needs weights (`--lpips-weights`) and is
 of one thread with another process on the second core.
 
 Not here: ScanNet, TUM fr1/desk, fr1/room, fr2/xyz and fr3/office, and seven of eight Replica scenes
-are not on this machine. H-VII (codes) is in `semantics-quality.md`, H-VIII (monocular) in
-`prior_tracking.md`, H-IX (trees) in `trees-room.md` and `many-classes.md`, G-VI (registration) in
-`registration-*.md`; other systems are in `open3d-*.md`, `motion.md` and `monocular_rivals.md`."""
+are not on this machine. H-VII (codes) is in `semantics-quality.md`, H-IX (trees) in
+`trees-room.md` and `many-classes.md`, registration in `registration-redkitchen.md`; other systems
+are in `open3d-*.md` and `motion.md`. docs/papers.md has tracking on depth priors (H-16) and G-VI
+(registration) as they were measured at earlier commits."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,15 +5,14 @@ SEMSPLAT_DATA=DATA python -m benchmarks.semantics.growing_scene [--seeds 1]
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.shared.recordings import RECORDINGS, room
 from benchmarks.shared.runner import Page
+from benchmarks.shared.runs import finished_slam
 from benchmarks.shared.tables import Metrics, Rows, Table, table_of
 from toolkit.base.stages import Stage
 from toolkit.datasets.options import DatasetOptions
@@ -22,13 +21,7 @@ from toolkit.exports.mapped_scene import map_scene
 from toolkit.exports.options import ObjectGraphOptions
 from toolkit.exports.scene_graph import scene_graph
 from toolkit.exports.selection import select
-from toolkit.runs.building import build_slam
-from toolkit.runs.evaluation.frame_costs import FrameCostRecorder
-from toolkit.runs.evaluation.timing import StageRecorder
-from toolkit.runs.folder import RunFolder
-from toolkit.runs.outcome import RunRecord
-from toolkit.runs.results import write_results
-from toolkit.runs.settings import RunSettings, dump_settings
+from toolkit.runs.settings import RunSettings
 from toolkit.scene.growing.listener import scene_graph_of
 from toolkit.scene.growing.options import GrowingSceneOptions
 
@@ -69,22 +62,12 @@ def measure(name: str, seed: int) -> Metrics:
     settings = _settings(name, seed)
     assert settings.dataset.path is not None
     dataset = open_dataset(settings.dataset.kind, settings.dataset.path, settings.image_size)
-    watch = StageRecorder()
-    costs = FrameCostRecorder(watch)
-    spent_ms = []
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = RunFolder.create(Path(temporary) / "run", dump_settings(settings))
-        slam = build_slam(dataset, settings, folder, watch)
-        for index in range(len(dataset)):
-            with watch.timed(Stage.ONLINE), costs.frame(index):
-                result = slam.process_frame(dataset[index])
-            if result.keyframe:
-                spent_ms.append(watch.durations_ms[Stage.SCENE_GRAPH][-1])
-        finished = slam.finish()
-        folder.check_taxonomy(finished.taxonomy)
-        write_results(finished, dataset, folder, settings, RunRecord(watch, costs.costs()))
-        scene = map_scene(select(folder.path), ObjectGraphOptions())
-        grown = scene_graph_of(finished)
+    with finished_slam(settings, dataset) as run:
+        times_ms = run.watch.durations_ms[Stage.SCENE_GRAPH]
+        assert len(times_ms) == len(dataset)
+        spent_ms = [times_ms[index] for index in run.result.keyframe_indices]
+        scene = map_scene(select(run.path), ObjectGraphOptions())
+        grown = scene_graph_of(run.result)
         assert grown is not None
         compared = _compared(grown, scene_graph(scene).content)
     return compared | {

@@ -45,18 +45,13 @@ class InstanceScores:
 
 
 def instance_scores(
-    predicted: NDArray[np.integer],
-    truth: NDArray[np.integer],
-    confidence: NDArray[np.floating] | None = None,
-    min_points: int = 20,
+    predicted: NDArray[np.integer], truth: NDArray[np.integer], min_points: int = 20
 ) -> InstanceScores:
-    """Compare predicted with true objects.
+    """Compare predicted with true objects; those with more points count as more confident.
 
     Args:
         predicted: [N] predicted object of each point, 0 for none.
         truth: [N] true object of each point; points with 0 are ignored.
-        confidence: [M + 1] of the predicted objects by number, for the order of average precision;
-            by default, objects with more points come first.
         min_points: smaller true objects are ignored, and so are the points on them.
     """
     sizes = np.bincount(truth, minlength=1)
@@ -67,10 +62,7 @@ def instance_scores(
     found = float(same.sum())
     sq = float(iou[same].mean()) if found else 0.0
     rq = found / max(0.5 * sum(iou.shape), 1e-9)
-    order_by = overlaps.predicted_sizes.astype(np.float64)
-    if confidence is not None:
-        order_by = np.asarray(confidence, np.float64)[overlaps.predicted]
-    order = np.argsort(-order_by, kind="stable")
+    order = np.argsort(-overlaps.predicted_sizes, kind="stable")
     split, merged = overlaps.errors()
     return InstanceScores(
         sq * rq,
@@ -89,7 +81,6 @@ def instance_scores(
 class _Overlaps:
     """Shared points [P, T] of predicted and true objects, and the points of each."""
 
-    predicted: NDArray[np.int64]
     shared: NDArray[np.int64]
     predicted_sizes: NDArray[np.int64]
     true_sizes: NDArray[np.int64]
@@ -104,7 +95,7 @@ class _Overlaps:
         true_sizes = table.sum(axis=0)
         objects = found > 0
         shared = table[objects]
-        return cls(found[objects].astype(np.int64), shared, shared.sum(axis=1), true_sizes)
+        return cls(shared, shared.sum(axis=1), true_sizes)
 
     def iou(self) -> NDArray[np.float64]:
         union = self.predicted_sizes[:, None] + self.true_sizes - self.shared

@@ -37,8 +37,6 @@ _SEEN_SHARE = 1e-3
 _MATCH_M = 0.15
 _SAMPLES = 400
 _MIN_IOU, _DOOR_M = 0.5, 0.5
-# Points of the grid on which rooms are compared.
-_CELL_M = 0.1
 DESCRIPTION = """\
 Relations, rooms and doors of the scene graph (`semsplat export --to graph.json`) in percent of
 those predicted that are true (precision), and of the true ones that are predicted (recall).

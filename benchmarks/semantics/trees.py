@@ -13,13 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from benchmarks.semantics.baseline_trees import alphabetical_taxonomy, random_taxonomy
 from benchmarks.shared.recordings import opened, room, sequence_arguments
 from benchmarks.shared.runner import Options, Page
 from benchmarks.shared.runs import finished_run
@@ -109,6 +108,31 @@ def trees(page: PageName) -> dict[str, Taxonomy]:
         "random": random_taxonomy(both),
         "alphabetical": alphabetical_taxonomy(both),
     }
+
+
+def random_taxonomy(like: Taxonomy, seed: int = 0) -> Taxonomy:
+    """A tree of the same structure and class ids, with randomly assigned classes."""
+    order = np.random.default_rng(seed).permutation(len(like))
+    return _filled(like, [like.classes[i] for i in order], "random")
+
+
+def alphabetical_taxonomy(like: Taxonomy) -> Taxonomy:
+    """A tree of the same structure and class ids, with classes in alphabetical order."""
+    return _filled(like, sorted(like.classes, key=str.casefold), "alphabetical")
+
+
+def _filled(like: Taxonomy, classes: Sequence[str], kind: str) -> Taxonomy:
+    """The tree with the leaves renamed in order and numbered groups."""
+    remaining = iter(classes)
+    names: dict[tuple[str, ...], str] = {}
+    root: dict[str, Any] = {}
+    for number, node in enumerate(like.nodes):
+        names[node.path] = next(remaining) if node.leaf else f"group {number}"
+        branch = root
+        for level in range(node.level):
+            branch = branch[names[node.path[: level + 1]]]
+        branch[names[node.path]] = {}
+    return Taxonomy(root, like.levels, like.classes, f"{kind} {like.name}")
 
 
 def _shapes_of_room() -> ScanShapes:

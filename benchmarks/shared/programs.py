@@ -35,12 +35,6 @@ def finished_semsplat(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def start_semsplat(*arguments: str) -> subprocess.Popen[str]:
-    """Start a program and return at once; its messages are discarded."""
-    command = semsplat_command(*arguments)
-    return subprocess.Popen(command, stderr=subprocess.DEVNULL, text=True)
-
-
 def start_semsplat_server(*arguments: str) -> tuple[subprocess.Popen[str], str]:
     """Start a program that prints its address, and return it with the address.
 

@@ -6,6 +6,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from benchmarks.shared.programs import semsplat
 from benchmarks.shared.runner import WORK
@@ -47,6 +48,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     **SHORT_ROOMS,
     "room": (),
     "room-noise": ("--sensor-noise",),
+    "room-objects": ("--frames", "120", "--sensor-noise"),
     "room-instances": ("--frames", "90", *_SMALL),
     "room-small": ("--frames", "200", *_SMALL),
     "room-weak": ("--texture", "weak"),
@@ -57,14 +59,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "ring-small": ("--layout", "ring", "--frames", "450", *_SMALL),
     # A walk slow enough for first-order trackers: 1.5 cm and up to 2 degrees per frame.
     "ring-slow": ("--layout", "ring", "--frames", "1800", *_TINY),
-    "ring-moved": ("--layout", "ring-moved", "--frames", "450", *_SMALL),
-    "ring-light": ("--layout", "ring-light", "--frames", "450", *_SMALL),
-    "ring-evening": ("--layout", "ring-evening", "--frames", "450", *_SMALL),
-    "ring-repainted": ("--layout", "ring-repainted", "--frames", "450", *_SMALL),
-    "ring-changed": ("--layout", "ring-changed", "--frames", "450", *_SMALL),
-    "twins-objects": ("--layout", "twins-objects", "--frames", "450", *_SMALL),
     "twins": ("--layout", "twins", "--frames", "1100", "--sensor-noise"),
-    "twins-small": ("--layout", "twins", "--frames", "450", *_SMALL),
     "orbit": ("--layout", "orbit", "--frames", "300", "--sensor-noise"),
     # A film of objects with a telephone, 720x1280, at the size to which a run reduces it.
     "phone": ("--layout", "orbit", "--frames", "706", "--image-size", "360", "640", *_NOISE),
@@ -72,8 +67,6 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "walk": ("--layout", "rooms", "--frames", "600", *_NOISE),
     "walk-fast": ("--layout", "rooms", "--frames", "300", *_NOISE),
     "still": ("--layout", "still", "--frames", "200", "--sensor-noise"),
-    # A fast walk: up to 10 cm and 9 degrees per frame.
-    "hall-fast": ("--layout", "hall", "--frames", "1500", *_TINY),
     # Shelves of small objects of 300 classes.
     "collection": ("--classes", "300", "--frames", "100", "--image-size", "160", "120"),
     "hall-short": ("--layout", "hall", "--frames", "800", *_TINY),
@@ -130,8 +123,16 @@ RECORDINGS = {
 INVERTED_ROTATIONS = ("euroc",)
 
 
-def sequence_arguments(name: str, seed: int = 0) -> list[str]:
-    """Command-line arguments of `semsplat run` for a recording or a synthetic sequence.
+class Source(NamedTuple):
+    """Where a sequence lies: the kind of the dataset, its folder, the usual image size."""
+
+    kind: str
+    path: Path
+    image_size: tuple[int, int] | None = None
+
+
+def source_of(name: str, seed: int = 0) -> Source:
+    """A recording or a synthetic sequence, which is rendered when it is first needed.
 
     Args:
         name: a key of RECORDINGS or of ROOMS.
@@ -139,23 +140,20 @@ def sequence_arguments(name: str, seed: int = 0) -> list[str]:
     """
     if name in RECORDINGS:
         recording = RECORDINGS[name]
-        size = recording.image_size
-        resize = [] if size is None else ["--image-size", *map(str, size)]
-        return [*_dataset_arguments(recording.kind, recording.path), *resize]
-    return _dataset_arguments("synthetic", room(name, seed))
+        return Source(recording.kind, recording.path, recording.image_size)
+    return Source("synthetic", room(name, seed))
+
+
+def sequence_arguments(name: str, seed: int = 0) -> list[str]:
+    """Command-line arguments of `semsplat run` for a sequence; see `source_of`."""
+    kind, path, size = source_of(name, seed)
+    resize = [] if size is None else ["--image-size", *map(str, size)]
+    return ["--dataset.kind", kind, "--dataset.path", str(path), *resize]
 
 
 def opened(name: str, seed: int = 0) -> RecordedDataset:
-    """The images of a recording or of a synthetic sequence, for methods that need no depth.
-
-    Args:
-        name: a key of RECORDINGS or of ROOMS.
-        seed: of the room.
-    """
-    recording = RECORDINGS.get(name)
-    if recording is None:
-        return open_dataset("synthetic", room(name, seed))
-    return open_dataset(recording.kind, recording.path, recording.image_size, needs_depth=False)
+    """The images of a sequence, see `source_of`, and their depth if there is any."""
+    return open_dataset(*source_of(name, seed), needs_depth=False)
 
 
 def room(name: str, seed: int = 0) -> Path:
@@ -174,7 +172,3 @@ def room(name: str, seed: int = 0) -> Path:
         semsplat("make-room", "--out", str(partial), *ROOMS[name], "--seed", str(seed))
         partial.rename(folder)
     return folder
-
-
-def _dataset_arguments(kind: str, path: Path) -> list[str]:
-    return ["--dataset.kind", kind, "--dataset.path", str(path)]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import shlex
+import textwrap
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import tyro
 
@@ -21,7 +21,6 @@ from benchmarks.stale import update_index
 Job = TypeVar("Job")
 
 WORK = ROOT / "runs" / "benchmarks"
-_MISSING_SHOWN = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +42,6 @@ class Options(ReportOptions):
 
     seeds: int = 1
     """Seeds 0, 1, ... of each row, which is their median."""
-    extra: str = ""
-    """Further options of `semsplat` for every row, in one string."""
-    name: str = ""
-    """Name of the results file; --extra requires another one than the default."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +53,7 @@ class Page(Generic[Job]):
         jobs: what each row measures, as JSON values.
         measure: from a job and a seed to metrics, as JSON values.
         tables: of the measured rows.
-        targets: what the rows should reach; left out with `--extra`.
+        targets: what the rows should reach.
         seeds: number of seeds by default.
         measures: the code that the results depend on.
     """
@@ -79,22 +74,11 @@ class Page(Generic[Job]):
         self.write(tyro.cli(Options, default=default, description=self.title))
 
     def write(self, options: Options) -> None:
-        """Measure rows and write the page.
-
-        Raises:
-            SystemExit: `--extra` without another name, or for rows that are no command lines.
-        """
-        name, extra = options.name or self.name, shlex.split(options.extra)
-        jobs: Mapping[str, Any] = self.jobs
-        if extra:
-            if name == self.name or not all(isinstance(job, list) for job in jobs.values()):
-                raise SystemExit("--extra: give --name; only rows that are runs take options")
-            chosen = options.only or tuple(jobs)
-            jobs = {row: [*job, *extra] for row, job in jobs.items() if row in chosen}
-        text = self.title, self.description
-        report = Report(name, *text, options, range(options.seeds), measures=self.measures)
-        rows = report.measured(jobs, self.measure)
-        judged = [target_table(self.targets(rows))] if self.targets and not extra else []
+        """Measure rows and write the page."""
+        text = self.name, self.title, self.description
+        report = Report(*text, options, range(options.seeds), measures=self.measures)
+        rows = report.measured(self.jobs, self.measure)
+        judged = [target_table(self.targets(rows))] if self.targets else []
         report.write(*self.tables(rows), *judged)
 
 
@@ -198,9 +182,7 @@ class Report:
         results = Results(*self._text, self.header, tables)
         if self._missing:
             print("\n\n".join(table.markdown() for table in tables))
-            names = ", ".join(self._missing[:_MISSING_SHOWN])
-            more = len(self._missing) - _MISSING_SHOWN
-            names += f" and {more} more" if more > 0 else ""
+            names = textwrap.shorten(", ".join(self._missing), 1000, placeholder=" and more")
             print(f"\n{results.name}.md is not written; rows to measure: {names}")
             return
         publish(results, self._options.out)

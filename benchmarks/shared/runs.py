@@ -22,7 +22,6 @@ from toolkit.runs.evaluation.frame_costs import FrameCostRecorder
 from toolkit.runs.evaluation.metrics import flattened, read_metrics
 from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.modes import RunInput
 from toolkit.runs.outcome import RunRecord
 from toolkit.runs.results import write_results
 from toolkit.runs.settings import RunSettings, dump_settings
@@ -59,11 +58,14 @@ class FinishedSlam:
     """A run in this process.
 
     Attributes:
-        result: of the finished run.
+        path: of the run folder.
+        result: of the finished run. watch: with the times of its stages.
         metrics: metrics.json by dotted key. records: loops.jsonl.
     """
 
+    path: Path
     result: SlamResult
+    watch: StageRecorder
     metrics: Metrics
     records: list[dict[str, Any]]
 
@@ -73,24 +75,21 @@ def finished_slam(
     settings: RunSettings,
     dataset: Dataset,
     prepare: Callable[[Slam], None] | None = None,
-    source: RunInput | None = None,
 ) -> Iterator[FinishedSlam]:
     """Process a dataset and write the results into a folder that exists within this context.
 
     Args:
         prepare: called with the system before the first frame.
-        source: what is processed, without depth; by default the dataset.
     """
-    source = source or RunInput(dataset)
     watch = StageRecorder()
     costs = FrameCostRecorder(watch)
     with tempfile.TemporaryDirectory() as temporary:
         folder = RunFolder.create(Path(temporary) / "run", dump_settings(settings))
-        slam = build_slam(source.frames, settings, folder, watch, source.correction)
+        slam = build_slam(dataset, settings, folder, watch)
         if prepare is not None:
             prepare(slam)
         for index in tqdm(range(len(dataset)), disable=not os.isatty(2), file=sys.stderr):
-            frame = source.frames[index]
+            frame = dataset[index]
             with watch.timed(Stage.ONLINE), costs.frame(index):
                 slam.process_frame(frame)
         with watch.timed(Stage.FINISH):
@@ -98,4 +97,4 @@ def finished_slam(
         folder.check_taxonomy(result.taxonomy)
         write_results(result, dataset, folder, settings, RunRecord(watch, costs.costs()))
         metrics = flattened(read_metrics(folder.metrics))
-        yield FinishedSlam(result, metrics, read_loop_log(folder.loops))
+        yield FinishedSlam(folder.path, result, watch, metrics, read_loop_log(folder.loops))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 MISSING = "n/a"
@@ -55,20 +55,6 @@ def table_of(columns: Sequence[str], rows: Rows, first_column: str = "", title: 
         for name, runs in rows.items()
     ]
     return Table((first_column, *columns), tuple(cells), title)
-
-
-def part_table(
-    part: str,
-    columns: Sequence[str],
-    found: Rows,
-    title: str,
-    note: str = "",
-    first_column: str = "",
-) -> Table:
-    """A table of medians of those rows whose names begin with the name of a part and a colon."""
-    prefix = f"{part}: "
-    rows = {name.removeprefix(prefix): found[name] for name in found if name.startswith(prefix)}
-    return replace(table_of(columns, rows, first_column, title), note=note)
 
 
 def worst_table(

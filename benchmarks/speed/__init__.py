@@ -1,1 +1,1 @@
-"""Time: kernels, frames beside an earlier commit, cameras, interrupted and distributed runs."""
+"""Time: kernels, frames beside an earlier commit, cameras."""

@@ -18,7 +18,7 @@ from typing import Any
 import tyro
 
 from benchmarks.shared.programs import LineWorker, earlier_tree, line_worker
-from benchmarks.shared.recordings import RECORDINGS, room
+from benchmarks.shared.recordings import source_of
 from benchmarks.shared.repository import ROOT
 from benchmarks.shared.runner import Report, ReportOptions
 from benchmarks.shared.tables import Metrics, Target, median_of, table_of, target_table
@@ -81,7 +81,8 @@ def compare(earlier: Path, job: Mapping[str, Any], number: int) -> Metrics:
         number: of the round; the version that begins a frame alternates.
     """
     variables = {name: value for name, value in job.items() if name.isupper()}
-    program = [str(_WORKER), json.dumps(_data(job["sequence"]))]
+    kind, path, image_size = source_of(job["sequence"])
+    program = [str(_WORKER), json.dumps((kind, str(path), image_size))]
     with (
         line_worker(earlier, program, variables) as before,
         line_worker(ROOT, program, variables) as now,
@@ -100,14 +101,6 @@ def compare(earlier: Path, job: Mapping[str, Any], number: int) -> Metrics:
     for stage in ("online", "finish"):
         metrics[f"{stage}_ratio"] = metrics[f"{stage}_ms"] / metrics[f"{stage}_ms_before"]
     return metrics | {"total_ratio": sum(times[now]) / sum(times[before])}
-
-
-def _data(sequence: str) -> tuple[object, ...]:
-    """Kind, folder and image size."""
-    if sequence not in RECORDINGS:
-        return "synthetic", str(room(sequence)), None
-    recording = RECORDINGS[sequence]
-    return recording.kind, str(recording.path), recording.image_size
 
 
 def _answer_ms(worker: LineWorker, request: str) -> float:

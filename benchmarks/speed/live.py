@@ -51,9 +51,9 @@ ROWS: dict[str, list[str]] = {
     }.items()
 }
 DESCRIPTION = f"""\
-Datasets as live cameras: `semsplat live --camera replay --fps {FPS}`. The files `sequences` and
-`pace` have offline runs of the same sequences. The delay is the time from the capture of a frame to
-its pose, without dropped frames. `trajectory.ate_rmse_cm` scores all frames, dropped ones at the
+Datasets as live cameras: `semsplat live --camera replay --fps {FPS}`. `sequences.md` has
+offline runs of the same sequences. The delay is the time from the capture of a frame to its pose,
+without dropped frames. `trajectory.ate_rmse_cm` scores all frames, dropped ones at the
 last pose before them; `ate_processed_rmse_cm` scores the frames that were processed. Without
 `--pace`, each frame is processed completely, and only the newest one waits; with `--pace`,
 optimisation is

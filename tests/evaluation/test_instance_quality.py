@@ -46,15 +46,13 @@ def test_tiny_true_objects_do_not_count():
     assert instance_scores(truth, truth).true == 3
 
 
-def test_confident_errors_lower_the_average_precision():
+def test_large_errors_lower_the_average_precision():
     predicted = TRUTH.copy()
     predicted[:30] = 4
-    confidence = np.array([0.0, 0.5, 0.5, 0.5, 0.9])
-    sure = instance_scores(predicted, TRUTH, confidence)
-    confidence[4] = 0.1
-    unsure = instance_scores(predicted, TRUTH, confidence)
-    assert unsure.ap50 == 1.0
-    assert sure.ap50 == pytest.approx(0.75)
+    assert instance_scores(predicted, TRUTH).ap50 == 1.0
+    # One of three is found, after a larger object that is none of them.
+    predicted = np.where(np.arange(300) < 240, 1, 2)
+    assert instance_scores(predicted, TRUTH).ap50 == pytest.approx(1 / 6)
 
 
 def test_nothing_predicted_scores_nothing():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.monocular.orb_vocabulary import write_vocabulary
+from benchmarks.accuracy.orbslam3 import write_vocabulary
 
 
 def test_a_vocabulary_is_a_tree_of_words_with_weights(tmp_path):

@@ -8,12 +8,12 @@ import pytest
 import tyro
 import yaml
 
-from benchmarks.accuracy import presets, sequences
+from benchmarks.accuracy import sequences
 from benchmarks.loops import detection, ring
 from benchmarks.papers import definitions, plans, runs
 from benchmarks.semantics import codes
 from benchmarks.shared import recordings
-from benchmarks.speed import live, pace
+from benchmarks.speed import live
 from toolkit.base.options import validated
 from toolkit.runs.batch.plan import load_plan
 from toolkit.runs.settings import RunSettings
@@ -26,8 +26,6 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 COMMANDS = [
     *sequences.ROWS.values(),
-    *pace.ROWS.values(),
-    *presets.ROWS.values(),
     *(row for rows in codes.ROWS.values() for row in rows.values()),
 ]
 
@@ -37,7 +35,7 @@ def test_plans_of_the_papers_tables_are_valid(name: str, tmp_path, monkeypatch) 
     monkeypatch.setenv("SEMSPLAT_DATA", str(tmp_path))
     for recording in recordings.RECORDINGS.values():
         (tmp_path / recording.folder).mkdir(parents=True, exist_ok=True)
-    monkeypatch.setattr(runs, "room", lambda name, seed: tmp_path / f"{name}-{seed}")
+    monkeypatch.setattr(recordings, "room", lambda name, seed: tmp_path / f"{name}-{seed}")
     group = plans.GROUPS[name]
     for quick in (False, True):
         path = tmp_path / "plan.yaml"

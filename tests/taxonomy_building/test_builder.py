@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.semantics.baseline_trees import alphabetical_taxonomy, random_taxonomy
+from benchmarks.semantics.trees import alphabetical_taxonomy, random_taxonomy
 from toolkit.base.errors import FormatError
 from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics.taxonomy import Taxonomy
