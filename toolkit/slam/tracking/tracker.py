@@ -23,6 +23,21 @@ class Tracker(Protocol):
         """Whether frames must be labelled before they are tracked."""
         ...
 
+    @property
+    def centred(self) -> bool:
+        """Whether colours of Gaussians may be centred; not if rendered pixels are compared."""
+        ...
+
+    @property
+    def gains(self) -> bool:
+        """Whether the exposures of keyframes are to be estimated."""
+        ...
+
+    @property
+    def placed(self) -> bool:
+        """Whether poses of new keyframes are to be refined against earlier keyframes."""
+        ...
+
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
         """T_map_camera [4, 4] of the frame that starts the map; None if it cannot start one."""
         ...
