@@ -47,6 +47,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     **SHORT_ROOMS,
     "room": (),
     "room-noise": ("--sensor-noise",),
+    "room-objects": ("--frames", "120", *_NOISE),
     "room-instances": ("--frames", "90", *_SMALL),
     "room-small": ("--frames", "200", *_SMALL),
     "room-weak": ("--texture", "weak"),
