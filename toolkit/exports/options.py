@@ -6,22 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from toolkit.base.options import PositiveFloat, PositiveInt
-from toolkit.io.suffixes import (
-    GLTF_SUFFIXES,
-    LABELLED_SUFFIXES,
-    MESH_SUFFIXES,
-    POINT_SUFFIXES,
-    SPLAT_SUFFIXES,
-)
+from toolkit.io import suffixes
 
 # Suffixes of the file of each format; none if it is a folder. Of the formats of a suffix, the first
 # one is its default.
 FORMATS: dict[str, tuple[str, ...]] = {
-    "gltf": GLTF_SUFFIXES,
-    "splats": SPLAT_SUFFIXES,
-    "mesh": MESH_SUFFIXES,
-    "points": POINT_SUFFIXES,
-    "labelled-points": LABELLED_SUFFIXES,
+    "gltf": suffixes.GLTF_SUFFIXES,
+    "splats": suffixes.SPLAT_SUFFIXES,
+    "mesh": suffixes.MESH_SUFFIXES,
+    "points": suffixes.POINT_SUFFIXES,
+    "labelled-points": suffixes.LABELLED_SUFFIXES,
     "colmap-text": (),
     "colmap-binary": (),
     "nerfstudio": (),
@@ -39,7 +33,7 @@ else:
 
 def format_of(suffix: str) -> ExportFormat:
     """The format of a file by its suffix, splats if no format has it."""
-    return next((name for name, suffixes in FORMATS.items() if suffix in suffixes), "splats")
+    return next((name for name, known in FORMATS.items() if suffix in known), "splats")
 
 
 @dataclass(frozen=True)

@@ -32,15 +32,10 @@ _VARIANTS = Path(__file__).parent / "variants"
 
 
 def rebuild_command() -> str:
-    """The command that installs the kernels again, from where semsplat was installed.
-
-    It works in any folder: a wheel is installed again, and a checkout, a repository or an archive
-    is compiled.
-    """
+    """The command, for any folder, that installs semsplat with its kernels again."""
     origin = _origin()
-    install = f"pip install --force-reinstall --no-deps {origin}"
-    compiler = "apt-get install -y g++ python3-dev && "
-    return install if origin.endswith(".whl") else compiler + install
+    compiler = "" if origin.endswith(".whl") else "apt-get install -y g++ python3-dev && "
+    return f"{compiler}pip install --force-reinstall --no-deps {origin}"
 
 
 def _origin() -> str:
@@ -55,11 +50,8 @@ def _origin() -> str:
     if record is None:  # from a package index
         return f"semsplat=={__version__}"
     values = json.loads(record)
-    version_control = values.get("vcs_info")
-    if version_control is None:
-        return shlex.quote(values["url"])
-    url = f"{version_control['vcs']}+{values['url']}@{version_control['commit_id']}"
-    return shlex.quote(url)
+    url, commit = values["url"], values.get("vcs_info")
+    return shlex.quote(f"{commit['vcs']}+{url}@{commit['commit_id']}" if commit else url)
 
 
 def _path(name: str) -> Path:

@@ -68,10 +68,9 @@ class Surfaces:
         self.sizes = sizes.astype(np.int64)
         self.sizes[0] = 0
         self.parts = {}
-        for number, owner in zip(
-            tracker.objects, self.table[[*tracker.objects]].tolist(), strict=True
-        ):
-            self.parts.setdefault(owner, []).append(number)
+        owners = self.table.tolist()
+        for number in tracker.objects:
+            self.parts.setdefault(owners[number], []).append(number)
 
     def submaps_of(self, number: int) -> set[int]:
         """The submaps in which an object was seen."""

@@ -274,11 +274,7 @@ class InstanceTracker:
         return {number: one.embedding for number, one in fused.items() if one is not None}
 
     def table(self, others: Mapping[int, int] | None = None) -> NDArray[np.int32]:
-        """The current object [M + 1] of every object number.
-
-        Args:
-            others: objects that are to count as another one, by number.
-        """
+        """The current object [M + 1] of every object number; `others` count as another one too."""
         found = np.arange(self._next, dtype=np.int32)
         for known in (others or {}, self.merged):
             found[list(known)] = list(known.values())

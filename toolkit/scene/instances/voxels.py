@@ -224,11 +224,7 @@ class VoxelVotes:
     def add(
         self, keys: Keys, objects: NDArray[np.int32], rows: NDArray[np.int32] | None = None
     ) -> None:
-        """Add a vote for an object above 0 to each of some different voxels [E].
-
-        Args:
-            rows: those of the voxels, -1 where there is none; by default, they are looked up.
-        """
+        """Add a vote for an object above 0 to each of some different voxels [E], in known rows."""
         rows = self.rows(keys) if rows is None else rows
         known = rows >= 0
         self._vote(rows[known], objects[known])
