@@ -30,7 +30,7 @@ import torch
 
 from benchmarks.gpu.report import Plan, row, table
 from toolkit.base.native import available_instruction_sets, kernels
-from toolkit.datasets.registry import KINDS
+from toolkit.datasets.options import READERS
 
 ROOT = Path(__file__).resolve().parents[2]
 CHANNELS = (4, 18, 30, 105)
@@ -114,7 +114,7 @@ def arguments() -> argparse.Namespace:
         action="append",
         default=[],
         metavar=("KIND", "DIR"),
-        help=f"a folder on disk, with its true path; kinds: {', '.join(KINDS)}",
+        help=f"a folder on disk, with its true path; kinds: {', '.join(READERS)}",
     )
     given = parser.parse_args()
     if min(given.channels) < 4 or given.repeats < 1 or given.frames < 2:

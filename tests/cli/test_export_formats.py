@@ -27,6 +27,7 @@ from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.semantics.colour_names import COLOUR_NAMES
 from toolkit.splatting.gaussians.cloud import GaussianCloud
 from toolkit.tools.cli.main import main
+from toolkit.tools.cli.map_programs import ExportOptions
 from toolkit.tools.viewer.options import ShownContent
 from toolkit.tools.viewer.reading import read_scene
 
@@ -400,3 +401,22 @@ def test_runs_without_labels_or_data_say_what_to_do(dots_run, tmp_path, capsys):
     assert "/gone" in line
     line = one_line_of_error(capsys, "export", dots_run, "--to", tmp_path / "a.yaml")
     assert "no floor was found" in line
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("map.ply", "splats"),
+        ("map.mesh.ply", "mesh"),
+        ("map.glb", "gltf"),
+        ("map.splats.glb", "splats"),
+        ("map.PCD", "points"),
+        ("map.las", "labelled-points"),
+        ("map.json", "scene-graph"),
+        ("map.png", "floor-plan"),
+        ("poses.tum", "trajectory"),
+        ("map.other", "splats"),
+    ],
+)
+def test_the_format_follows_from_the_name(name, kind):
+    assert ExportOptions(run=Path("run"), to=Path(name)).kind == kind

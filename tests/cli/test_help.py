@@ -76,6 +76,8 @@ def test_the_help_of_run_fits_on_a_screen(monkeypatch, capsys):
     for flag in ("--dataset.path", "--out", "--image-size", "--max-frames", "--depth", "--map"):
         assert flag in flags_of(page)
     assert "--help-all" in page
+    # Many choices are listed behind the description instead of in the placeholder.
+    assert "--dataset.kind KIND " in page and "One of synthetic," in page
 
 
 @pytest.mark.parametrize("job", sorted(KINDS))

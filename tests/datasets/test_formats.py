@@ -11,9 +11,9 @@ import pytest
 
 from toolkit.base.errors import DatasetError, FormatError
 from toolkit.base.geometry import se3
-from toolkit.datasets.options import DatasetOptions
+from toolkit.datasets.options import READERS, DatasetOptions
 from toolkit.datasets.pairing import associate
-from toolkit.datasets.registry import KINDS, describe, open_dataset
+from toolkit.datasets.registry import describe, open_dataset
 from toolkit.io import images
 
 
@@ -327,7 +327,7 @@ def test_max_frames_also_limits_the_ground_truth(make_replica):
         dataset[2]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", READERS)
 def test_errors_for_wrong_paths_and_empty_folders_are_one_line(tmp_path, kind):
     for path in (tmp_path / "nowhere", tmp_path):
         with pytest.raises(DatasetError) as caught:

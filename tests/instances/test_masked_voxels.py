@@ -96,3 +96,14 @@ def test_masks_are_sampled_at_the_pixels_of_the_points(width):
     np.testing.assert_allclose(sampled(columns, step), pixels, atol=1e-3)
     masks = GeometricMasks().masks(replace(keyframe(0, shape=(67, width)), camera=camera))
     assert masks is not None and masks.ids.shape == (67, width)
+
+
+def test_votes_for_known_rows_are_those_for_their_voxels():
+    found, given = VoxelVotes(0.04), VoxelVotes(0.04)
+    for votes in (found, given):
+        votes.add(np.array([5, 9]), np.array([1, 2], np.int32))
+    keys, objects = np.array([5, 7, 9]), np.array([3, 3, 2], np.int32)
+    found.add(keys, objects)
+    given.add(keys, objects, np.array([0, -1, 1], np.int32))
+    for name, array in found.state().items():
+        np.testing.assert_array_equal(given.state()[name], array)

@@ -10,13 +10,13 @@ from toolkit.base.errors import DatasetError, FormatError, RunFolderError
 from toolkit.base.geometry import se3
 from toolkit.base.geometry.camera import Camera
 from toolkit.io import splats
-from toolkit.io.splat_scenes import SCENE_SUFFIXES
+from toolkit.io.suffixes import SCENE_SUFFIXES, SPLAT_SUFFIXES
 from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.splatting.gaussians.cloud import LOW_PASS_3DGS, PIXEL_FILTER, GaussianCloud
 from toolkit.splatting.rendering import render
 
 # Tests of glTF and USD are in their own files.
-WRITTEN = (*(s for s in splats.WRITTEN_SUFFIXES if s not in SCENE_SUFFIXES), ".compressed.ply")
+WRITTEN = (*(s for s in SPLAT_SUFFIXES if s not in SCENE_SUFFIXES), ".compressed.ply")
 
 
 def test_ply_round_trip_with_labels(tmp_path, cloud):

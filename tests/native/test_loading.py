@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import pkgutil
+import shlex
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from toolkit.base.errors import DependencyError
 from toolkit.base.native import constants, loading
+from toolkit.base.version import __version__
 
 BUILT_BASE = loading._path("base")
 AVAILABLE = loading.available_instruction_sets()
@@ -116,3 +121,38 @@ def test_variant_compiled_with_other_constants_raises(
 def test_variants_cannot_be_imported(name: str) -> None:
     assert importlib.util.find_spec(f"toolkit.base.native.variants.{name}") is None
     assert list(pkgutil.iter_modules([str(loading._path(name).parent)])) == []
+
+
+@pytest.mark.parametrize(
+    ("record", "origin"),
+    [
+        ({"url": "file:///x/semsplat-0.1.0.whl", "archive_info": {}}, ""),
+        ({"url": "file:///my%20clone", "dir_info": {}}, "file:///my%20clone"),
+        (
+            {"url": "https://host/s.git", "vcs_info": {"vcs": "git", "commit_id": "abc"}},
+            "git+https://host/s.git@abc",
+        ),
+        (None, f"semsplat=={__version__}"),
+    ],
+)
+def test_outside_a_checkout_the_origin_of_the_installation_is_installed_again(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    record: dict[str, Any] | None,
+    origin: str,
+) -> None:
+    monkeypatch.setattr(loading, "__file__", str(tmp_path / "toolkit/base/native/loading.py"))
+    text = None if record is None else json.dumps(record)
+    installed = SimpleNamespace(read_text=lambda name: text)
+    monkeypatch.setattr(loading.metadata, "distribution", lambda name: installed)
+    command = loading.rebuild_command()
+    if record is not None and not origin:  # a wheel needs no compiler
+        assert command == f"pip install --force-reinstall --no-deps {record['url']}"
+    else:
+        assert command.startswith("apt-get install -y g++ python3-dev && pip install ")
+        assert command.endswith(f" --no-deps {origin}")
+
+
+def test_in_a_checkout_its_folder_is_compiled() -> None:
+    checkout = Path(loading.__file__).parents[3]
+    assert shlex.split(loading.rebuild_command())[-2:] == ["--editable", str(checkout)]

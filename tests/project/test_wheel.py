@@ -3,6 +3,7 @@
 import email
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -123,6 +124,26 @@ def test_the_doctor_finds_the_kernels_of_the_wheel(installed, tmp_path):
     report = call(programs / "semsplat", "doctor", cwd=tmp_path, env=known)
     (line,) = [line for line in report.splitlines() if line.startswith("native kernels ")]
     assert all(variant.split(".")[1] in line for variant in VARIANTS), line
+
+
+def test_the_remedy_of_the_doctor_installs_the_wheel_again(installed, repaired, tmp_path):
+    programs, known = installed
+    # The record of the wheel's installation must be found before that of this environment.
+    without_kernels = """
+import os, sys
+from pathlib import Path
+sys.path.append(os.environ["LIBRARIES"])
+from toolkit.base.native import loading
+from toolkit.tools.cli import doctor
+loading._VARIANTS = Path("none")
+doctor.main([])
+"""
+    last = known | {"PYTHONPATH": "", "LIBRARIES": known["PYTHONPATH"]}
+    report = call(programs / "python", "-c", without_kernels, cwd=tmp_path, env=last)
+    (remedy,) = re.findall(r"^native kernels +not built.*\n +fix it with: (pip .*)$", report, re.M)
+    assert remedy.endswith(f" {repaired.as_uri()}")
+    pip = [sys.executable, "-m", "pip", "--python", programs / "python"]
+    call(*pip, "--quiet", *shlex.split(remedy)[1:], cwd=tmp_path, env=os.environ)
 
 
 def test_an_installed_program_writes_a_page_outside_the_checkout(installed, tmp_path):

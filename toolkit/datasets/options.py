@@ -4,26 +4,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from toolkit.base.options import Range
 
-DatasetKind = Literal[
-    "synthetic",
-    "tum",
-    "replica",
-    "seven-scenes",
-    "scannet",
-    "nerfstudio",
-    "stray-scanner",
-    "record3d",
-    "polycam",
-    "colmap",
-    "folder",
-    "video",
-    "images",
-    "bag",
-]
+# Kinds of datasets, and the module of `readers` that describes each.
+READERS = {
+    "synthetic": "replica",
+    "tum": "tum",
+    "replica": "replica",
+    "seven-scenes": "seven_scenes",
+    "scannet": "scannet",
+    "nerfstudio": "nerfstudio",
+    "stray-scanner": "stray_scanner",
+    "record3d": "record3d",
+    "polycam": "polycam",
+    "colmap": "colmap",
+    "folder": "folder",
+    "video": "video",
+    "images": "photos",
+    "bag": "bag",
+}
+if TYPE_CHECKING:
+    DatasetKind = str
+else:
+    DatasetKind = Literal[tuple(READERS)]
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,7 @@ class DatasetOptions:
     """The dataset of a run."""
 
     kind: DatasetKind = "synthetic"
-    """Layout of the dataset: synthetic, tum, replica, seven-scenes, scannet, nerfstudio,
-    stray-scanner, record3d, polycam, colmap, folder, video, images or bag."""
+    """Layout of the dataset."""
     path: Path | None = None
     """Folder of the dataset, or file of a video, bag or list of images. By default, a synthetic
     room is created beside the run folder."""

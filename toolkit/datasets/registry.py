@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
-from typing import cast
 
 from toolkit.base.errors import DatasetError
 from toolkit.datasets.base import RecordedDataset, Recording
 from toolkit.datasets.estimates import RecordingEstimates
 from toolkit.datasets.findings import camera_faults, pose_faults
-from toolkit.datasets.options import BagTopics, DatasetKind, DatasetOptions
+from toolkit.datasets.options import READERS, BagTopics, DatasetOptions
 from toolkit.datasets.preparation import (
     check_depth,
     check_times,
@@ -24,40 +23,8 @@ from toolkit.datasets.preparation import (
     with_fov,
     without_depth,
 )
-from toolkit.datasets.readers import (
-    bag,
-    colmap,
-    folder,
-    nerfstudio,
-    photos,
-    polycam,
-    record3d,
-    replica,
-    scannet,
-    seven_scenes,
-    stray_scanner,
-    tum,
-    video,
-)
 
 _log = logging.getLogger(__name__)
-
-KINDS: dict[str, Callable[[Path], Recording]] = {
-    "synthetic": replica.describe,
-    "tum": tum.describe,
-    "replica": replica.describe,
-    "seven-scenes": seven_scenes.describe,
-    "scannet": scannet.describe,
-    "nerfstudio": nerfstudio.describe,
-    "stray-scanner": stray_scanner.describe,
-    "record3d": record3d.describe,
-    "polycam": polycam.describe,
-    "colmap": colmap.describe,
-    "folder": folder.describe,
-    "video": video.describe,
-    "images": photos.describe,
-    "bag": bag.describe,
-}
 
 
 def open_dataset(
@@ -73,7 +40,7 @@ def open_dataset(
     The first frame is loaded immediately to detect a wrong path, image size or scale early.
 
     Args:
-        kind: one of `KINDS`; synthetic rooms use the layout of Replica.
+        kind: one of `READERS`; synthetic rooms use the layout of Replica.
         path: folder of the dataset.
         image_size: (width, height) in pixels to scale and crop to. By default, images keep their
             size, except large ones without depth, which are reduced.
@@ -87,7 +54,7 @@ def open_dataset(
         FormatError: a text file is malformed.
         SettingsError: no poses are left by the delay of the options.
     """
-    options = replace(options or DatasetOptions(), kind=cast(DatasetKind, kind), path=Path(path))
+    options = replace(options or DatasetOptions(), kind=kind, path=Path(path))
     return open_place(options, image_size, max_frames, needs_depth)
 
 
@@ -139,14 +106,15 @@ def describe(kind: str, path: str | os.PathLike[str], topics: BagTopics | None =
         DatasetError: the kind is unknown, or the dataset is missing or inconsistent.
         FormatError: a text file is malformed.
     """
-    if kind not in KINDS:
-        raise DatasetError(f"unknown dataset kind {kind!r}; supported are {', '.join(KINDS)}")
+    if kind not in READERS:
+        raise DatasetError(f"unknown dataset kind {kind!r}; supported are {', '.join(READERS)}")
+    reader = import_module(f"toolkit.datasets.readers.{READERS[kind]}")
     if topics is not None and topics != BagTopics():
         if kind != "bag":
             raise DatasetError(f"dataset.topics is for bags; remove it for {kind}")
-        recording = bag.describe(Path(path), topics)
+        recording: Recording = reader.describe(Path(path), topics)
     else:
-        recording = KINDS[kind](Path(path))
+        recording = reader.describe(Path(path))
     flaws = (*recording.flaws, *pose_faults(recording))
     if recording.calibrated:
         flaws += camera_faults(recording.camera)

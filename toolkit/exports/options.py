@@ -3,26 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from toolkit.base.options import PositiveFloat, PositiveInt
+from toolkit.io import suffixes
 
-ExportFormat = Literal[
-    "splats",
-    "mesh",
-    "points",
-    "labelled-points",
-    "gltf",
-    "colmap-text",
-    "colmap-binary",
-    "nerfstudio",
-    "occupancy-grid",
-    "scene-graph",
-    "floor-plan",
-    "trajectory",
-    "viewer",
-]
-FOLDER_FORMATS = ("colmap-text", "colmap-binary", "nerfstudio")
+# Suffixes of the file of each format; none if it is a folder. Of the formats of a suffix, the first
+# one is its default.
+FORMATS: dict[str, tuple[str, ...]] = {
+    "gltf": suffixes.GLTF_SUFFIXES,
+    "splats": suffixes.SPLAT_SUFFIXES,
+    "mesh": suffixes.MESH_SUFFIXES,
+    "points": suffixes.POINT_SUFFIXES,
+    "labelled-points": suffixes.LABELLED_SUFFIXES,
+    "colmap-text": (),
+    "colmap-binary": (),
+    "nerfstudio": (),
+    "occupancy-grid": (".yaml",),
+    "scene-graph": (".json", ".jsonld", ".graphml"),
+    "floor-plan": (".png",),
+    "trajectory": (".txt", ".tum"),
+    "viewer": (".html",),
+}
+if TYPE_CHECKING:
+    ExportFormat = str
+else:
+    ExportFormat = Literal[tuple(FORMATS)]
+
+
+def format_of(suffix: str) -> ExportFormat:
+    """The format of a file by its suffix, splats if no format has it."""
+    return next((name for name, known in FORMATS.items() if suffix in known), "splats")
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from toolkit.base.errors import DependencyError, FormatError
 from toolkit.io.atomic import write_bytes
 from toolkit.io.meshes import TriangleMesh
 from toolkit.io.splat_placement import linear_from_srgb
-
-GLTF_SUFFIXES = (".glb", ".gltf")
+from toolkit.io.suffixes import GLTF_SUFFIXES
 
 _MATERIAL = {
     "name": "vertex colours",

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from toolkit.base.errors import DependencyError, FormatError
 from toolkit.io.atomic import replacing, write_bytes
 from toolkit.io.splat_labels import SplatLabels
+from toolkit.io.suffixes import LABELLED_SUFFIXES
 
-LABELLED_SUFFIXES = (".ply", ".las", ".laz")
 LAS_USER, LAS_RECORD = "semsplat", 1
 
 # LAS stores coordinates as multiples of this length.

@@ -17,11 +17,9 @@ from toolkit.base.geometry.camera import Camera
 from toolkit.base.geometry.open3d_bridge import open3d
 from toolkit.io.atomic import replacing
 from toolkit.io.process_streams import silenced
+from toolkit.io.suffixes import MESH_SUFFIXES, POINT_SUFFIXES
 
 PathLike = str | os.PathLike[str]
-
-MESH_SUFFIXES = (".ply",)
-POINT_SUFFIXES = (".ply", ".pcd")
 
 # Voxels along an edge of the blocks that Open3D allocates near surfaces.
 _BLOCK_EDGE = 16

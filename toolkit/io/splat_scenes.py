@@ -7,13 +7,11 @@ from pathlib import Path
 
 from numpy.typing import NDArray
 
-from toolkit.io.gltf import GLTF_SUFFIXES
 from toolkit.io.gltf_splats import read_gltf_notes, read_gltf_splats, write_gltf_splats
 from toolkit.io.splat_columns import Columns
 from toolkit.io.splat_placement import SplatNotes, SplatScene
-from toolkit.io.usd_splats import USD_SUFFIXES, read_usd_notes, read_usd_splats, write_usd_splats
-
-SCENE_SUFFIXES = (*GLTF_SUFFIXES, *USD_SUFFIXES)
+from toolkit.io.suffixes import USD_SUFFIXES
+from toolkit.io.usd_splats import read_usd_notes, read_usd_splats, write_usd_splats
 
 
 def write_splat_scene(

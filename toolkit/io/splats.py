@@ -38,14 +38,10 @@ from toolkit.io.splat_columns import (
 from toolkit.io.splat_labels import SplatLabels
 from toolkit.io.splat_placement import SplatNotes, SplatScene
 from toolkit.io.splat_plys import FILTER_COMMENT, read_ply, read_ply_comments, write_ply
-from toolkit.io.splat_scenes import (
-    SCENE_SUFFIXES,
-    read_scene_notes,
-    read_splat_scene,
-    write_splat_scene,
-)
+from toolkit.io.splat_scenes import read_scene_notes, read_splat_scene, write_splat_scene
 from toolkit.io.splat_shapes import SplatShapes
 from toolkit.io.spz import SpzVersion, is_filtered_spz, read_spz, write_spz
+from toolkit.io.suffixes import SCENE_SUFFIXES, SPLAT_SUFFIXES
 
 PathLike = str | os.PathLike[str]
 
@@ -83,11 +79,6 @@ _WRITERS: dict[str, Callable[[Path, Columns, bool], Order]] = {
 }
 # Suffixes of files that are read.
 SUFFIXES = tuple(_READERS)
-# Suffixes of files that are written; `.compressed.ply` ends in `.ply`.
-WRITTEN_SUFFIXES = (
-    *(_PLY, *(suffix for suffix in _WRITERS if not suffix.endswith(_PLY))),
-    *SCENE_SUFFIXES,
-)
 # Other formats of splats, which are not read.
 FOREIGN_SUFFIXES = (".lcc", ".rad", ".splatv")
 
@@ -175,7 +166,7 @@ def export_splats(
     beside them (`label_files`).
 
     Args:
-        path: the file, ending in one of `WRITTEN_SUFFIXES` or in `.compressed.ply`.
+        path: the file, ending in one of `SPLAT_SUFFIXES` or in `.compressed.ply`.
         splats: the Gaussians.
         extra: additional columns [N] by name.
         comments: lines for the header of a `.ply` and the notes of a scene.
@@ -197,7 +188,7 @@ def export_splats(
         export_splat_scene(path, splats, extra, SplatScene.of_comments(comments, taxonomy))
         return
     if suffix not in _WRITERS:
-        raise ValueError(f"{path} must end in one of {', '.join(WRITTEN_SUFFIXES)}")
+        raise ValueError(f"{path} must end in one of {', '.join(SPLAT_SUFFIXES)}")
     write = partial(write_spz, version=spz_version) if suffix == _SPZ else _WRITERS[suffix]
     columns = columns_of(path, splats)
     check_finite(path, columns)

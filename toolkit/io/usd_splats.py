@@ -40,8 +40,6 @@ from toolkit.io.usd_layers import check_layers
 
 _log = logging.getLogger(__name__)
 
-USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
-
 _TYPE = "ParticleField3DGaussianSplat"
 _COLOUR_SPACE, _LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
 # Key of our values in the layer's custom data.

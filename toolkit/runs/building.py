@@ -78,14 +78,15 @@ def build_slam(
             correction,
         )
     )
+    tracker = front_end.tracker
     mapper = Mapper(
-        replace(settings.mapping, centred=settings.mapping.centred and front_end.centred),
+        replace(settings.mapping, centred=settings.mapping.centred and tracker.centred),
         np.random.default_rng(settings.seed),
         settings.backend,
         recorder,
         semantics,
         map_device(settings.device, settings.backend),
-        gains=front_end.gains,
+        gains=tracker.gains,
         describer=refinement_describer(settings),
     )
     submaps = folder.submaps if folder else None

@@ -50,6 +50,7 @@ from toolkit.slam.tracking.factory import build_tracker
 from toolkit.slam.tracking.given import GivenPoses
 from toolkit.slam.tracking.guided import GuidedTracker
 from toolkit.slam.tracking.initial_velocity import initial_velocity
+from toolkit.slam.tracking.options import TrackingOptions
 from toolkit.slam.tracking.placement import KeyframePlacement
 
 
@@ -212,15 +213,13 @@ class DepthCamera(RunMode):
             closer = build_loop_closer(
                 settings.loops, parts.context, log, parts.recorder, settings.registration
             )
-        # The papers' tracker is a baseline, whose keyframe poses are not refined.
-        dense = settings.tracking.kind == "dense"
+        tracker = build_tracker(settings.tracking, settings.backend, parts.recorder, parts.code)
+        placed = tracker.placed and settings.placement.use
         return FrontEnd(
-            build_tracker(settings.tracking, settings.backend, parts.recorder, parts.code),
+            tracker,
             closer,
-            KeyframePlacement(settings.placement) if dense and settings.placement.use else None,
+            KeyframePlacement(settings.placement) if placed else None,
             start_velocity=_start_velocity(parts.dataset, unit),
-            centred=dense,
-            gains=dense,
             unit=unit,
         )
 
@@ -259,7 +258,7 @@ class ImagesAlone(RunMode):
             if used:
                 raise SettingsError(f"{name} needs depth images; remove it, or remove --depth none")
         may_choose = self.given_poses or settings.depth_prior.use == "track"
-        if settings.tracking.kind != "dense" and not may_choose:
+        if settings.tracking.kind != TrackingOptions.kind and not may_choose:
             raise SettingsError(
                 f"--tracking.kind {settings.tracking.kind} needs depth; add --depth-prior.use "
                 "track with a source of priors, or remove --depth none"
@@ -293,7 +292,6 @@ class ImagesAlone(RunMode):
             GuidedTracker(sequence.trajectories, parts.settings.backend, parts.recorder),
             GivenParts(sequence.part_of_keyframe),
             correction=parts.correction,
-            gains=True,
         )
 
 
@@ -333,13 +331,10 @@ class ImagesWithPriors(ImagesAlone):
     def front_end(self, parts: FrontEndParts) -> FrontEnd:
         """The tracker of the settings, without loop closure."""
         settings = parts.settings
-        dense = settings.tracking.kind == "dense"
         return FrontEnd(
             build_tracker(settings.tracking, settings.backend, parts.recorder, parts.code),
             correction=parts.correction,
             tracks_priors=True,
-            centred=dense,
-            gains=dense,
         )
 
 

@@ -29,11 +29,6 @@ class FrontEnd:
             the predicted pose.
         start_velocity: [6] m/s and rad/s of the camera in the first frame, which a rolling shutter
             has bent; None if it is not known.
-        centred: whether colours of Gaussians may be centred, which suits the dense tracker only:
-            the papers' tracker compares rendered pixels directly, and given poses need no
-            comparison.
-        gains: whether the exposures of keyframes are estimated. Without tracking, and in the
-            papers' tracker, they are not.
         unit: of length, in which the system works; frames and results are in metres. None for the
             one that suits the first frame with depth.
     """
@@ -44,6 +39,4 @@ class FrontEnd:
     correction: DepthCorrection | None = None
     tracks_priors: bool = False
     start_velocity: NDArray[np.float64] | None = None
-    centred: bool = False
-    gains: bool = False
     unit: LengthUnit | None = METRE

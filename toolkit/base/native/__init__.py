@@ -10,6 +10,7 @@ from toolkit.base.native.loading import (
     built_instruction_sets,
     kernels,
     load_variant,
+    rebuild_command,
     require_kernels,
 )
 from toolkit.base.native.tensors import address, kernels_for
@@ -23,5 +24,6 @@ __all__ = [
     "kernels",
     "kernels_for",
     "load_variant",
+    "rebuild_command",
     "require_kernels",
 ]

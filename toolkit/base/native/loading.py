@@ -12,23 +12,46 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import json
 import logging
 import os
+import shlex
+from importlib import metadata
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import ModuleType
 
 from toolkit.base.errors import DependencyError
 from toolkit.base.native import constants
+from toolkit.base.version import __version__
 
 INSTRUCTION_SETS = ("base", "avx2", "avx512")  # in ascending order of preference
 ISA_VARIABLE = "SEMSPLAT_ISA"
 _logger = logging.getLogger(__name__)
 _VARIANTS = Path(__file__).parent / "variants"
-_REBUILD = (
-    "install a C++ compiler (apt-get install g++) and run: "
-    "pip install --force-reinstall --no-deps ."
-)
+
+
+def rebuild_command() -> str:
+    """The command, for any folder, that installs semsplat with its kernels again."""
+    origin = _origin()
+    compiler = "" if origin.endswith(".whl") else "apt-get install -y g++ python3-dev && "
+    return f"{compiler}pip install --force-reinstall --no-deps {origin}"
+
+
+def _origin() -> str:
+    """What pip is to install: this checkout, or what its record of the installation names."""
+    checkout = Path(__file__).parents[3]
+    if (checkout / "setup.py").is_file():
+        return f"--editable {shlex.quote(str(checkout))}"
+    try:
+        record = metadata.distribution("semsplat").read_text("direct_url.json")  # PEP 610
+    except metadata.PackageNotFoundError:
+        record = None
+    if record is None:  # from a package index
+        return f"semsplat=={__version__}"
+    values = json.loads(record)
+    url, commit = values["url"], values.get("vcs_info")
+    return shlex.quote(f"{commit['vcs']}+{url}@{commit['commit_id']}" if commit else url)
 
 
 def _path(name: str) -> Path:
@@ -54,7 +77,7 @@ def _load(name: str) -> ModuleType:
     if getattr(module, "constants", None) != constants.fingerprint():
         raise DependencyError(
             f"{path} was compiled with other constants than toolkit/base/native/constants.py; "
-            f"to rebuild it, {_REBUILD}"
+            f"to rebuild it, run: {rebuild_command()}"
         )
     return module
 
@@ -126,7 +149,10 @@ def kernels() -> ModuleType | None:
             raise DependencyError(f"{ISA_VARIABLE}={forced}: {error}") from error
     available = available_instruction_sets()
     if not available:
-        _logger.warning("Native kernels not found, using the slower torch code; %s", _REBUILD)
+        _logger.warning(
+            "Native kernels not found, using the slower torch code; to build them, run: %s",
+            rebuild_command(),
+        )
         return None
     return load_variant(available[-1])
 
@@ -139,5 +165,5 @@ def require_kernels() -> ModuleType:
     """
     module = kernels()
     if module is None:
-        raise DependencyError(f"the native kernels are not built; {_REBUILD}")
+        raise DependencyError(f"the native kernels are not built; run: {rebuild_command()}")
     return module

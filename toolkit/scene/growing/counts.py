@@ -28,7 +28,7 @@ class PixelCounts:
         counts = np.bincount(cells.reshape(-1), minlength=rows * self._kinds)
         for number, row in zip(record.objects.tolist(), counts.reshape(rows, -1)[1:], strict=True):
             if number:
-                self._counts[number] = self.of([number]) + row
+                self._counts[number] = self._counts.get(number, 0) + row
 
     def of(self, objects: Iterable[int]) -> NDArray[np.int64]:
         """The sum [kinds] over some objects."""

@@ -7,7 +7,7 @@ not depend on the length of the run. The end of the run compares all.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import takewhile
 from typing import Any
 
@@ -84,6 +84,7 @@ class GrowingScene:
         self._cameras: list[Array] = []  # positions of the first fans, until a pose changes
         self._seen: set[tuple[int, int]] = set()
         self._classes: dict[int, int] = {}  # of the shown objects
+        self._known: dict[int, tuple[tuple[int, ...], int]] = {}  # of all, by their masks
         self._compared: dict[int, int] = {}
         self._floors: Floors | None = None
         self._floor_size = 0
@@ -188,17 +189,25 @@ class GrowingScene:
     def _shown(self) -> dict[int, int]:
         """The class of each object that is not noise."""
         surfaces = self._surfaces
+        sizes = surfaces.sizes.tolist()
         large = [
             number
             for number in surfaces.parts
-            if surfaces.sizes[number] >= _MIN_VOXELS and surfaces.views(number) >= _MIN_VIEWS
+            if sizes[number] >= _MIN_VOXELS and surfaces.views(number) >= _MIN_VIEWS
         ]
         classes = {number: self._class(number) for number in large}
         return {number: class_id for number, class_id in classes.items() if class_id}
 
     def _class(self, number: int) -> int:
+        """The class of an object; it changes with its masks alone."""
+        masks = (self._surfaces.views(number), *self._surfaces.parts[number])
+        known = self._known.get(number)
+        if known is None or known[0] != masks:
+            known = self._known[number] = masks, self._voted_class(masks[1:])
+        return known[1]
+
+    def _voted_class(self, parts: Sequence[int]) -> int:
         """The class of an object: that of its masks if the taxonomy has it, else of the labels."""
-        parts = self._surfaces.parts[number]
         name = class_name_of(self._tracker.objects[part] for part in parts)
         if name in self._class_of:
             return self._class_of[name]

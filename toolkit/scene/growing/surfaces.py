@@ -61,14 +61,16 @@ class Surfaces:
     def group(self) -> None:
         """Find the objects of the scene: what the tracker has merged, and twins, are one."""
         tracker = self._tracker
-        self.table = np.array([self._object_of(n) for n in tracker.table().tolist()], np.int32)
-        self.sizes = np.zeros(len(self.table), np.int64)
+        self.table = tracker.table(self.twins)
+        sizes = np.zeros(len(self.table))
         for counts in self._counts.values():
-            np.add.at(self.sizes, self.table[: len(counts)], counts)
+            sizes += np.bincount(self.table[: len(counts)], counts, len(sizes))
+        self.sizes = sizes.astype(np.int64)
         self.sizes[0] = 0
         self.parts = {}
+        owners = self.table.tolist()
         for number in tracker.objects:
-            self.parts.setdefault(int(self.table[number]), []).append(number)
+            self.parts.setdefault(owners[number], []).append(number)
 
     def submaps_of(self, number: int) -> set[int]:
         """The submaps in which an object was seen."""
@@ -81,20 +83,21 @@ class Surfaces:
     def points_m(self, numbers: Iterable[int]) -> dict[int, Array]:
         """The voxels [n, 3] of some objects in the world."""
         found: dict[int, list[tuple[Array, NDArray[np.bool_]]]] = {n: [] for n in numbers}
-        wanted = np.isin(np.arange(len(self.table)), list(found))
+        wanted = np.isin(self.table, list(found))
         for submap, votes in sorted(self._tracker.votes.items()):
-            if not wanted[self.table[np.flatnonzero(self._counts[submap])]].any():
+            if not wanted[np.flatnonzero(self._counts[submap])].any():
                 continue
-            owners = self.table[votes.owners[:, 0]]
-            rows = np.flatnonzero(wanted[owners])
-            rows = rows[np.argsort(owners[rows], kind="stable")]
+            rows = np.flatnonzero(wanted[votes.owners[:, 0]])
+            owners = self.table[votes.owners[rows, 0]]
+            order = np.argsort(owners, kind="stable")
+            rows, owners = rows[order], owners[order]
             edge_m = votes.voxel_m * self.metres_per_unit
             points = (voxels_of_keys(votes.keys[rows]) + 0.5) * edge_m
             points = se3.transform_points(self.poses[submap], points)
             sure = votes.votes[rows, 0] > 1
-            starts = np.flatnonzero(np.diff(owners[rows], prepend=-1))
+            starts = np.flatnonzero(np.diff(owners, prepend=-1))
             for a, b in zip(starts, [*starts[1:], len(rows)], strict=True):
-                found[int(owners[rows[a]])].append((points[a:b], sure[a:b]))
+                found[int(owners[a])].append((points[a:b], sure[a:b]))
         return {number: self._without_noise(number, parts) for number, parts in found.items()}
 
     def _without_noise(
@@ -104,8 +107,3 @@ class Surfaces:
         sure = np.concatenate([np.zeros(0, bool), *(own for _, own in parts)])
         settled = sure.any() and self.views(number) >= _SETTLED_VIEWS
         return points[sure] if settled else points
-
-    def _object_of(self, number: int) -> int:
-        while number in self.twins:
-            number = self._tracker.current(self.twins[number])
-        return number

@@ -210,4 +210,4 @@ def add_votes(
     # Votes go to the voxels that were found, so that noise does not double surfaces.
     keys = np.where(rows >= 0, votes.keys[rows] if len(votes) else 0, seen.keys)[voting]
     keys, first = np.unique(keys, return_index=True)
-    votes.add(keys, target[voting][first])
+    votes.add(keys, target[voting][first], rows[voting][first])

@@ -69,7 +69,7 @@ class GeometricMasks:
         )
         count = int(segments.max(initial=0))
         return InstanceMasks(
-            segments[rows[:, None], columns],
+            segments[rows][:, columns],
             [None] * count,
             np.ones(count, np.float32),
             np.zeros((count, 0), np.float32),
@@ -83,11 +83,8 @@ def depth_steps(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     inverse = 1.0 / z  # linear in the image on a plane
     for axis in (0, 1):
         bend = np.abs(np.diff(inverse, n=2, axis=axis))
-        middle = np.take(z, range(1, z.shape[axis] - 1), axis=axis)
-        beside = bend * middle > _STEP
-        inner = [slice(None), slice(None)]
-        inner[axis] = slice(1, -1)
-        edges[tuple(inner)] |= beside
+        inner = np.s_[1:-1] if axis == 0 else np.s_[:, 1:-1]
+        edges[inner] |= bend * z[inner] > _STEP
     return edges
 
 
@@ -122,7 +119,7 @@ def _grown(
 ) -> NDArray[np.int32]:
     """Segments grown over the edges between them by two pixels, within their class."""
     for _ in range(2):
-        grown = cv2.dilate(segments.astype(np.float32), np.ones((3, 3))).astype(np.int32)
+        grown = cv2.dilate(segments.astype(np.uint16), np.ones((3, 3))).astype(np.int32)
         free = valid & (segments == 0)
         if labels is not None:
             owner = np.zeros(int(grown.max()) + 1, np.int64)

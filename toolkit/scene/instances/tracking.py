@@ -273,9 +273,14 @@ class InstanceTracker:
         fused = {int(n): self.objects[n].embeddings.fused() for n in numbers.tolist() if n}
         return {number: one.embedding for number, one in fused.items() if one is not None}
 
-    def table(self) -> NDArray[np.int32]:
-        """The current object [M + 1] of every object number."""
-        return np.array([self.current(n) for n in range(self._next)], np.int32)
+    def table(self, others: Mapping[int, int] | None = None) -> NDArray[np.int32]:
+        """The current object [M + 1] of every object number; `others` count as another one too."""
+        found = np.arange(self._next, dtype=np.int32)
+        for known in (others or {}, self.merged):
+            found[list(known)] = list(known.values())
+        while (found[found] != found).any():
+            found = found[found]
+        return found
 
     def state(self) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays and JSON values from which `restore` continues identically."""

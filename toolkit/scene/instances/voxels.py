@@ -221,9 +221,11 @@ class VoxelVotes:
         """The votes [V, 2] for them."""
         return self._votes.rows
 
-    def add(self, keys: Keys, objects: NDArray[np.int32]) -> None:
-        """Add a vote for an object above 0 to each of some different voxels [E]."""
-        rows = self.rows(keys)
+    def add(
+        self, keys: Keys, objects: NDArray[np.int32], rows: NDArray[np.int32] | None = None
+    ) -> None:
+        """Add a vote for an object above 0 to each of some different voxels [E], in known rows."""
+        rows = self.rows(keys) if rows is None else rows
         known = rows >= 0
         self._vote(rows[known], objects[known])
         self._append(keys[~known], objects[~known])

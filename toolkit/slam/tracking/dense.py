@@ -86,6 +86,8 @@ class DenseTracker(MovingTracker):
         levels: number of image pyramid levels. The coarsest image should keep 30 pixels per side.
     """
 
+    centred = gains = placed = True
+
     def __init__(
         self,
         options: DenseOptions | None = None,

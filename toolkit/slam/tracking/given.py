@@ -26,7 +26,7 @@ class GivenPoses:
         self._trajectory = trajectory
         self._T_map_world = np.eye(4)
 
-    wants_labels = False
+    wants_labels = centred = gains = placed = False
     # Why a frame without a pose is lost.
     without_pose = "the dataset has no pose for it"
 

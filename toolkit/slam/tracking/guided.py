@@ -56,6 +56,7 @@ class GuidedTracker(GivenPoses):
             whose relative poses are unknown, has one of them for each part.
     """
 
+    gains = True
     without_pose = "the motion of the camera could not be estimated there"
 
     def __init__(

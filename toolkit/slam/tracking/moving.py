@@ -15,7 +15,7 @@ from toolkit.splatting.alignment.health import HealthLimits
 class MovingTracker:
     """Motion model and first pose of a tracker."""
 
-    wants_labels = False
+    wants_labels = centred = gains = placed = False
 
     def __init__(self, limits: HealthLimits | None) -> None:
         self.limits = limits or HealthLimits()

@@ -16,12 +16,19 @@ from toolkit.splatting.gaussians.cloud import GaussianCloud
 
 
 class Tracker(Protocol):
-    """Estimates the pose of each frame against the map."""
+    """Estimates the pose of each frame against the map.
 
-    @property
-    def wants_labels(self) -> bool:
-        """Whether frames must be labelled before they are tracked."""
-        ...
+    Attributes:
+        wants_labels: whether frames must be labelled before they are tracked.
+        centred: whether colours of Gaussians may be centred; not if rendered pixels are compared.
+        gains: whether the exposures of keyframes are to be estimated.
+        placed: whether poses of new keyframes are to be refined against earlier keyframes.
+    """
+
+    wants_labels: bool
+    centred: bool
+    gains: bool
+    placed: bool
 
     def first_pose(self, frame: Frame) -> NDArray[np.float64] | None:
         """T_map_camera [4, 4] of the frame that starts the map; None if it cannot start one."""

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from toolkit.base.errors import FormatError, RunFolderError, SettingsError
-from toolkit.exports.options import FOLDER_FORMATS
+from toolkit.exports.options import FORMATS
+from toolkit.io.suffixes import MESH_SUFFIXES, POINT_SUFFIXES
 from toolkit.tools.cli.map_programs import EditOptions, ExportOptions
 from toolkit.tools.cli.programs import (
     SEMANTIC_IMAGES,
@@ -80,35 +81,18 @@ def _check_render(options: RenderProgram) -> None:
 
 
 def _check_export(options: ExportOptions) -> None:
-    from toolkit.io.gltf import GLTF_SUFFIXES
-    from toolkit.io.labelled_points import LABELLED_SUFFIXES
-    from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES
-    from toolkit.io.splats import WRITTEN_SUFFIXES
     from toolkit.runs.new_folder import NewFolder
 
     if options.mesh + options.points + (options.format is not None) > 1:
         raise SettingsError("give --mesh or --points or --format, not both")
-    if options.kind in FOLDER_FORMATS:
+    suffixes = FORMATS[options.kind]
+    if suffixes:
+        check_output("--to", options.to, suffixes, f"a file of {options.kind}")
+    else:
         NewFolder(str(options.to), "export", options, "--to").check()
-        return
-    suffixes = {
-        "splats": WRITTEN_SUFFIXES,
-        "mesh": MESH_SUFFIXES,
-        "points": POINT_SUFFIXES,
-        "labelled-points": LABELLED_SUFFIXES,
-        "gltf": GLTF_SUFFIXES,
-        "occupancy-grid": (".yaml",),
-        "scene-graph": (".json", ".jsonld", ".graphml"),
-        "floor-plan": (".png",),
-        "trajectory": (".txt", ".tum"),
-        "viewer": (".html",),
-    }[options.kind]
-    check_output("--to", options.to, suffixes, f"a file of {options.kind}")
 
 
 def _check_query(options: QueryProgram) -> None:
-    from toolkit.io.meshes import MESH_SUFFIXES, POINT_SUFFIXES
-
     if options.nodes and options.list:
         raise SettingsError("give names or --list, not both")
     if options.encoder or options.embedding or options.image:

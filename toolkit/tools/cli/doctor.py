@@ -58,11 +58,6 @@ _SYSTEM_LIBRARIES = {
     "libEGL.so.1": "libegl1",
 }
 
-# Must be run in the repository.
-_BUILD_NATIVE = (
-    "apt-get install -y g++ python3-dev && pip install --force-reinstall --no-deps --editable ."
-)
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -130,18 +125,20 @@ def _compute_findings() -> Iterator[Finding]:
 def _native_kernels() -> Finding:
     from toolkit.base import native
 
-    subject = "native kernels"
+    subject, rebuild = "native kernels", native.rebuild_command()
+    forced = bool(os.environ.get(native.ISA_VARIABLE))
     built = native.built_instruction_sets()
     if not built:
-        return Finding(subject, "not built: rendering uses slow torch code", _BUILD_NATIVE)
+        return Finding(subject, "not built: rendering uses slow torch code", rebuild)
     try:
         chosen = native.kernels()
     except DependencyError as error:
-        return Finding(subject, str(error), f"unset {native.ISA_VARIABLE}", needed=True)
+        remedy = f"unset {native.ISA_VARIABLE}" if forced else rebuild
+        return Finding(subject, str(error), remedy, needed=True)
     if chosen is None:
-        return Finding(subject, f"built ({', '.join(built)}), but cannot be loaded", _BUILD_NATIVE)
-    forced = f" ({native.ISA_VARIABLE})" if os.environ.get(native.ISA_VARIABLE) else ""
-    return Finding(subject, f"{chosen.instruction_set}{forced}; built: {', '.join(built)}")
+        return Finding(subject, f"built ({', '.join(built)}), but cannot be loaded", rebuild)
+    by = f" ({native.ISA_VARIABLE})" if forced else ""
+    return Finding(subject, f"{chosen.instruction_set}{by}; built: {', '.join(built)}")
 
 
 def _threads(torch_threads: int) -> Finding:

@@ -12,7 +12,7 @@ import numpy as np
 from toolkit.base.errors import SettingsError
 from toolkit.exports.floors import export_occupancy_grid
 from toolkit.exports.mapped_scene import map_scene
-from toolkit.exports.options import FOLDER_FORMATS
+from toolkit.exports.options import FORMATS
 from toolkit.exports.plans import export_floor_plan
 from toolkit.exports.scene_graph import export_scene_graph, scene_graph
 from toolkit.exports.selection import SelectedGaussians, select
@@ -20,8 +20,8 @@ from toolkit.exports.surfaces import export_gltf, export_labelled_points, export
 from toolkit.exports.views import ViewExportOptions, export_colmap, export_nerfstudio
 from toolkit.io.meshes import write_mesh
 from toolkit.io.splat_placement import origin_comment, origin_in
-from toolkit.io.splat_scenes import SCENE_SUFFIXES
 from toolkit.io.splats import export_splats, is_splat_file, read_splats
+from toolkit.io.suffixes import SCENE_SUFFIXES
 from toolkit.io.trajectories import write_tum
 from toolkit.runs.maps.labelled import taxonomy_of_file
 from toolkit.runs.maps.meshing import MeshOptions, part_mesh, surface_mesh, write_opaque_points
@@ -58,7 +58,7 @@ def main(options: ExportOptions) -> int:
 
 def _new_folder(options: ExportOptions) -> AbstractContextManager[None]:
     """What marks the folder while it is written; nothing for formats of one file."""
-    if options.kind not in FOLDER_FORMATS:
+    if FORMATS[options.kind]:
         return nullcontext()
     return NewFolder(str(options.to), "export", options, "--to").written()
 

@@ -67,6 +67,8 @@ COMMON: Mapping[str, Mapping[str, Sequence[str]]] = {
     "register": {"options": ("run_a", "run_b", "out", "pairs", "registration.kind")},
 }
 
+# Longer choices are listed behind the description.
+_MAX_PLACEHOLDER = 60
 _NAMES = {int: "INT", float: "FLOAT", str: "TEXT", Path: "PATH"}
 
 
@@ -117,11 +119,12 @@ def _by_prefix(options: Mapping[str, Option]) -> dict[str, list[str]]:
 
 
 def _add(group: argparse._ArgumentGroup, option: Option) -> None:
-    text = f"{option.description}{_limits(option)}".replace("%", "%%")
-    names = option_names(option)
+    names, is_switch = option_names(option), isinstance(option.default, bool)
+    choices = "" if is_switch else _choices(option)
+    text = f"{option.description}{choices}{_limits(option)}".replace("%", "%%")
     if is_positional(option):
         group.add_argument(option.key, metavar=names[0], help=text)
-    elif isinstance(option.default, bool):
+    elif is_switch:
         group.add_argument(*names, action="store_true", help=text)
     else:
         group.add_argument(names[0], metavar=_placeholder(option), help=text)
@@ -176,12 +179,24 @@ def _usage(option: Option) -> str:
 
 
 def _placeholder(option: Option) -> str:
-    """Return the placeholder of the value; a name if the description explains all choices."""
-    choices = get_args(option.type) if get_origin(option.type) is Literal else ()
-    described = set(re.findall(r"[\w-]+", option.description))
-    if choices and described.issuperset(map(str, choices)):
+    """Return the placeholder of the value; a name if the choices are described or listed."""
+    if _explains_choices(option) or _choices(option):
         return option.key.rpartition(".")[2].upper()
     return type_text(option.type)
+
+
+def _explains_choices(option: Option) -> bool:
+    choices = get_args(option.type) if get_origin(option.type) is Literal else ()
+    described = set(re.findall(r"[\w-]+", option.description))
+    return bool(choices) and described.issuperset(map(str, choices))
+
+
+def _choices(option: Option) -> str:
+    """Return a sentence with the choices if they are too long for a placeholder."""
+    text = type_text(option.type)
+    if not text.startswith("{") or len(text) <= _MAX_PLACEHOLDER or _explains_choices(option):
+        return ""
+    return f" One of {', '.join(text[1:-1].split(','))}."
 
 
 def type_text(hint: Any) -> str:

@@ -9,7 +9,13 @@ from typing import Annotated, Literal
 from tyro.conf import Positional
 
 from toolkit.base.options import Fraction, NonNegativeInt, PositiveFloat, PositiveInt, Range
-from toolkit.exports.options import ExportFormat, GridOptions, ObjectGraphOptions, PlanOptions
+from toolkit.exports.options import (
+    ExportFormat,
+    GridOptions,
+    ObjectGraphOptions,
+    PlanOptions,
+    format_of,
+)
 from toolkit.semantics.options import ObjectOptions
 from toolkit.tools.serving.options import EarlierRun, ServiceLimits
 from toolkit.tools.viewer.options import ShownContent
@@ -29,11 +35,8 @@ class ExportOptions:
     to: Path
     """File to write, or folder (new or empty) of COLMAP and nerfstudio formats."""
     format: ExportFormat | None = None
-    """Format (docs/guides/exports.md). By default, it follows from the name: splats (.ply,
-    .compressed.ply, .splat, .spz, .sog, .splats.glb, .splats.gltf, .usda, .usdc, .usd, .usdz), mesh
-    (.mesh.ply), points (.pcd), gltf, a mesh (.glb, .gltf), labelled-points (.las, .laz),
-    occupancy-grid (.yaml), scene-graph (.jsonld, .graphml), trajectory (.txt, .tum) or viewer
-    (.html)."""
+    """Format (docs/guides/exports.md). By default, it follows from the suffix: .ply is splats, but
+    .mesh.ply a mesh; .glb and .gltf are a mesh, but .splats.glb and .splats.gltf splats."""
     spz_version: Literal[2, 3, 4] = 4
     """Version of .spz files; more viewers read the versions 2 and 3, and version 2 has coarser
     rotations."""
@@ -77,22 +80,7 @@ class ExportOptions:
             return "points"
         if name.endswith((".splats.glb", ".splats.gltf")):
             return "splats"
-        return _FORMATS_BY_SUFFIX.get(self.to.suffix.lower(), "splats")
-
-
-_FORMATS_BY_SUFFIX: dict[str, ExportFormat] = {
-    ".pcd": "points",
-    ".glb": "gltf",
-    ".gltf": "gltf",
-    ".las": "labelled-points",
-    ".laz": "labelled-points",
-    ".yaml": "occupancy-grid",
-    ".txt": "trajectory",
-    ".tum": "trajectory",
-    ".html": "viewer",
-    ".jsonld": "scene-graph",
-    ".graphml": "scene-graph",
-}
+        return format_of(self.to.suffix.lower())
 
 
 @dataclass(frozen=True)
