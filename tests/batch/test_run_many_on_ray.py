@@ -6,13 +6,12 @@ import csv
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
-from tiny_plans import semsplat, write_plan
+from programs import MAIN, semsplat, start
+from tiny_plans import write_plan
 
 pytest.importorskip("ray", reason="ray is not installed (pip install 'semsplat[cluster]')")
 
@@ -22,16 +21,7 @@ SAME = ("trajectory.txt", "map.ply", "loops.jsonl")
 def test_a_lost_worker_costs_one_resumed_run(night, rooms, tmp_path):
     resources = {"threads": 1, "memory_gb": 0.5}
     plan = write_plan(tmp_path / "r.yaml", rooms, "a", "b", "missing", resources=resources)
-    command = [
-        sys.executable,
-        "-m",
-        "toolkit.tools.cli.main",
-        "run-many",
-        str(plan),
-        "--ray.cpus",
-        "2",
-    ]
-    program = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    program = start("-m", MAIN, "run-many", plan, "--ray.cpus", 2)
     attempts = tmp_path / "r/logs/a/quick/seed0.attempts.jsonl"
     deadline = time.monotonic() + 120
     while not list((tmp_path / "r/a/quick/seed0").glob("checkpoint/[01]/metadata.json")):
