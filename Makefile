@@ -56,7 +56,7 @@ $(DEMO_ROOM)/unseen/cam_params.json: | ready
 
 # One thread per worker, since two workers share the processor.
 test: ready .stamps/emulator .stamps/vulkan .stamps/chromium .stamps/gltf-validator .stamps/wheel-tools
-	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
+	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 --dist worksteal
 
 bench: ready
 	.venv/bin/python -m benchmarks.speed.renderer --out runs/bench

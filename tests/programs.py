@@ -2,8 +2,9 @@
 
 A fresh interpreter spends seconds on importing torch, Open3D and others. Here it happens once per
 worker of pytest: an interpreter imports the toolkit and waits, and each program is a fork of it
-with its own process id, streams, signals, working folder, environment and exit status. Where its
-environment could change an import, a fresh interpreter is started instead.
+with its own process id, streams, signals, working folder, environment and exit status. So are the
+programs that it starts. Where an environment could change an import, a fresh interpreter is
+started instead.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,8 @@ ROOT = Path(__file__).resolve().parents[1]
 MAIN = "toolkit.tools.cli.main"
 # Names of variables begin so that no import reads.
 _READ_LATER = ("PYTEST_", "SEMSPLAT_LLM")
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+_VARIABLES = {"PYTHONPATH": str(ROOT)} | dict.fromkeys(_THREADS, "1")
 # Beside the toolkit, what its programs import when they need it.
 _LIBRARIES = ("fastapi", "matplotlib.figure", "mcp.server", "openai", "uvicorn")
 
@@ -39,7 +43,7 @@ def start(*words: object, cwd: Path | None = None, **keywords: Any) -> subproces
     Args:
         env: more environment variables.
     """
-    env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"} | keywords.pop("env", {})
+    env = os.environ | _VARIABLES | keywords.pop("env", {})
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     command = [sys.executable, *map(str, words)]
     options = {"cwd": cwd or ROOT, "env": env, "text": True, "preexec_fn": _interruptible}
@@ -72,14 +76,15 @@ class _Forked(subprocess.Popen):
     _status: int | None = None  # a pipe that says how it ended
 
     def _execute_child(self, args, executable, preexec, close, keep, cwd, env, *more):
-        forker = _Forker.of_worker()
-        if forker is None or not forker.knows(env):
+        forker = _forker()
+        env = os.environ if env is None else env
+        if forker is None or not forker.can_start(args, env):
             super()._execute_child(args, executable, preexec, close, keep, cwd, env, *more)
             return
         streams = p2cread, _, _, c2pwrite, _, errwrite = more[3:9]
         own = [p2cread, c2pwrite, errwrite]
         files = [number if file == -1 else file for number, file in enumerate(own)]
-        request = {"words": args[1:], "cwd": str(cwd), "env": dict(env)}
+        request = {"words": args[1:], "cwd": str(cwd or Path.cwd()), "env": dict(env)}
         self.pid, self._status = forker.fork(request, files)
         self._child_created = True
         self._close_pipe_fds(*streams)
@@ -106,34 +111,38 @@ class _Forked(subprocess.Popen):
 class _Forker:
     """The process that forks, seen from a worker of pytest."""
 
-    def __init__(self) -> None:
-        self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-        with theirs:
-            subprocess.Popen(
-                [sys.executable, __file__],
-                stdin=theirs,
-                stdout=subprocess.DEVNULL,
-                env=self._env,
-                start_new_session=True,
-            )
+    def __init__(self, channel: socket.socket, env: dict[str, str]) -> None:
+        self._channel, self._env = channel, env
 
     @classmethod
-    @functools.cache
-    def of_worker(cls) -> _Forker | None:
-        return cls() if sys.platform == "linux" else None
+    def started(cls) -> _Forker:
+        channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        env = os.environ | _VARIABLES
+        streams: dict[str, Any] = {"stdin": theirs, "stdout": subprocess.DEVNULL}
+        with theirs:
+            subprocess.Popen([sys.executable, __file__], env=env, start_new_session=True, **streams)
+        return cls(channel, env)
 
-    def knows(self, env: dict[str, str]) -> bool:
-        """Whether imports are the same in an environment."""
+    def can_start(self, words: Any, env: Mapping[str, str]) -> bool:
+        """Whether this is a program of Python whose imports are the same in the environment."""
+        if len(words) < 2 or words[0] != sys.executable or words[1].startswith("-u"):
+            return False
         changed = set(env.items()) ^ set(self._env.items())
         return all(name.startswith(_READ_LATER) for name, _ in changed)
 
     def fork(self, request: dict[str, Any], files: list[int]) -> tuple[int, int]:
         """Return the process id, and the pipe that says how the process ended."""
         ours, theirs = os.pipe()
-        socket.send_fds(self._channel, [json.dumps(request).encode()], [*files, theirs])
+        files = [*files, theirs, self._channel.fileno()]
+        socket.send_fds(self._channel, [json.dumps(request).encode()], files)
         os.close(theirs)
         return int(os.read(ours, 32)), ours
+
+
+@functools.cache
+def _forker() -> _Forker | None:
+    """The process that forks for this one, started when it is first needed."""
+    return _Forker.started() if sys.platform == "linux" else None
 
 
 def _served() -> dict[str, Any]:
@@ -143,7 +152,7 @@ def _served() -> dict[str, Any]:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     channel = socket.socket(fileno=os.dup(0))
     while True:
-        request, files, *_ = socket.recv_fds(channel, 1 << 20, 4)
+        request, files, *_ = socket.recv_fds(channel, 1 << 20, 5)
         if not request:
             os._exit(0)  # the worker of pytest ended
         if os.fork() == 0:
@@ -151,10 +160,10 @@ def _served() -> dict[str, Any]:
             pid = os.fork()
             if pid == 0:
                 channel.close()
-                _replace_streams(files)
-                return json.loads(request)
-            for number in range(3):
-                os.close(files[number])
+                _replace_streams(files[:4])
+                return json.loads(request) | {"channel": files[4]}
+            for file in (*files[:3], files[4]):
+                os.close(file)
             os.write(files[3], b"%d" % pid)
             os.write(files[3], b"%d" % os.waitpid(pid, 0)[1])
             os._exit(0)
@@ -174,9 +183,13 @@ def _replace_streams(files: list[int]) -> None:
     sys.stderr = open(2, "w", buffering=1, errors="backslashreplace", **text)  # noqa: SIM115
 
 
-def _fulfil(words: list[str], cwd: str, env: dict[str, str]) -> None:
+def _fulfil(words: list[str], cwd: str, env: dict[str, str], channel: int) -> None:
     """Do what the interpreter does with its arguments."""
+    global _forker
     _interruptible()
+    forker = _Forker(socket.socket(fileno=channel), dict(os.environ))
+    _forker = lambda: forker  # noqa: E731
+    subprocess.Popen = _Forked  # type: ignore[misc]
     os.environ.clear()
     os.environ.update(env)
     os.chdir(cwd)
