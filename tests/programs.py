@@ -33,6 +33,7 @@ MAIN = "toolkit.tools.cli.main"
 _READ_LATER = ("PYTEST_", "SEMSPLAT_LLM")
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _VARIABLES = {"PYTHONPATH": str(ROOT)} | dict.fromkeys(_THREADS, "1")
+_AT_START = dict(os.environ)  # imports add variables
 # Beside the toolkit, what its programs import when they need it.
 _LIBRARIES = ("fastapi", "matplotlib.figure", "mcp.server", "openai", "uvicorn")
 
@@ -187,7 +188,7 @@ def _fulfil(words: list[str], cwd: str, env: dict[str, str], channel: int) -> No
     """Do what the interpreter does with its arguments."""
     global _forker
     _interruptible()
-    forker = _Forker(socket.socket(fileno=channel), dict(os.environ))
+    forker = _Forker(socket.socket(fileno=channel), _AT_START)
     _forker = lambda: forker  # noqa: E731
     subprocess.Popen = _Forked  # type: ignore[misc]
     os.environ.clear()
