@@ -87,8 +87,9 @@ def outputs(target: Target, cache: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def cache(pytestconfig) -> Path:
-    return pytestconfig.cache.mkdir("kernels")
+def cache(pytestconfig, tmp_path_factory) -> Path:
+    kept = getattr(pytestconfig, "cache", None)  # without it under -p no:cacheprovider
+    return kept.mkdir("kernels") if kept else tmp_path_factory.mktemp("kernels")
 
 
 @pytest.fixture(scope="module")
