@@ -54,9 +54,10 @@ $(DEMO_ROOM)/unseen/cam_params.json: | ready
 	@echo "make: generating a synthetic room of 300 frames (about a minute)"
 	.venv/bin/semsplat make-room --out $(DEMO_ROOM)
 
-# One thread per worker, since two workers share the processor.
+# One thread per worker, since two workers share the processor. Each begins with a half of the files,
+# so that what the tests of a file share is made once.
 test: ready .stamps/emulator .stamps/vulkan .stamps/chromium .stamps/gltf-validator .stamps/wheel-tools
-	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2
+	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 --dist worksteal
 
 bench: ready
 	.venv/bin/python -m benchmarks.speed.renderer --out runs/bench

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from tiny_plans import semsplat, write_plan
+from programs import semsplat
+from tiny_plans import write_plan
 
 from toolkit.datasets.synthetic_rooms import tiny_room
 from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +24,7 @@ from toolkit.runs.batch.ray_cluster import (
     TaskResources,
     ray_cluster,
 )
+from toolkit.tools.cli.main import main
 
 
 class OutOfMemoryError(Exception):
@@ -129,6 +131,28 @@ def test_a_task_without_memory_waits_for_another_one_to_end():
     items = ["bad", "a", "b"]
     list(RayCluster(ray).unordered(Failing(OutOfMemoryError(), 1), items, TaskResources()))
     assert ray.started == ["bad", "a", "b", "bad"]
+
+
+@pytest.mark.parametrize(
+    ("resources", "message"),
+    [
+        (TaskResources(cores=3), "a task needs 3 cores, but the largest node of the cluster has 2"),
+        (TaskResources(memory_gb=9.0), r"a task needs 9 GB, but .* has 8.0 GB"),
+    ],
+)
+def test_tasks_that_no_node_can_execute_are_refused(resources, message):
+    ray = FakeRay()
+    with pytest.raises(ToolkitError, match=message):
+        RayCluster(ray).map(Failing(OutOfMemoryError(), 0), ["good"], resources)
+    assert ray.started == []
+
+
+def test_a_program_says_that_its_tasks_do_not_fit(tiny_run, tmp_path, monkeypatch, capsys):
+    cluster = nullcontext(RayCluster(FakeRay()))
+    monkeypatch.setattr("toolkit.runs.batch.ray_cluster.ray_cluster", lambda _: cluster)
+    words = ["--out", str(tmp_path / "out"), "--ray.cpus", "2", "--threads", "3"]
+    assert main(["refine", str(tiny_run), *words]) == 2
+    assert "a task needs 3 cores" in capsys.readouterr().err.strip().splitlines()[-1]
 
 
 def test_a_map_needs_every_task():

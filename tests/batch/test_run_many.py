@@ -7,11 +7,11 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
-from tiny_plans import semsplat, write_plan
+from programs import MAIN, run, semsplat, start
+from tiny_plans import write_plan
 
 SAME = ("trajectory.txt", "map.ply", "loops.jsonl")
 
@@ -41,8 +41,8 @@ def test_a_killed_program_takes_its_run_with_it_and_resumes_it(night, rooms, tmp
     plan = write_plan(tmp_path / "killed.yaml", rooms, "a")
     assert "1 new" in semsplat("run-many", plan, "--dry-run").stdout
     assert not (tmp_path / "killed").exists()
-    command = [sys.executable, "-m", "toolkit.tools.cli.main", "run-many", str(plan)]
-    program = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    silent = {"stderr": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+    program = start("-m", MAIN, "run-many", plan, **silent)
     folder = tmp_path / "killed/a/quick/seed0"
     deadline = time.monotonic() + 120
     while not list(folder.glob("checkpoint/[01]/metadata.json")):
@@ -81,9 +81,8 @@ def is_running(pid: int) -> bool:
         (("p.yaml", "--ray.cpus", "0"), "--ray.cpus"),
     ],
 )
-def test_bad_input_is_one_line(tmp_path, monkeypatch, words, message):
-    monkeypatch.chdir(tmp_path)
-    done = semsplat("run-many", *words)
+def test_bad_input_is_one_line(tmp_path, words, message):
+    done = semsplat("run-many", *words, cwd=tmp_path)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1 and message in done.stderr
 
@@ -92,7 +91,7 @@ def test_without_ray_a_cluster_is_one_line(rooms, tmp_path):
     plan = write_plan(tmp_path / "p.yaml", rooms, "a")
     block = "import sys; sys.modules['ray'] = None; from toolkit.tools.cli.main import main; "
     code = block + f"sys.exit(main(['run-many', {str(plan)!r}, '--cluster']))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = run("-c", code)
     assert done.returncode == 2
     assert "pip install 'semsplat[cluster]'" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

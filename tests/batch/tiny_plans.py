@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import yaml
@@ -26,8 +24,3 @@ def write_plan(path: Path, rooms: Path, *names: str, **more: object) -> Path:
     content = {"sequences": sequences, "settings": {"quick": {"options": OPTIONS}}, **more}
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return path
-
-
-def semsplat(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "toolkit.tools.cli.main", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=240)

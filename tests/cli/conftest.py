@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from box_scene import CAMERA, T_WORLD_MAP, box_map, frames_at, frames_content, poses
 from labelled_run import make_labelled_run
-from room_runs import RoomRuns, make_room_runs
+from room_runs import RoomRuns, make_room_runs, walk
 
 from toolkit.base.geometry.trajectory import Trajectory
 from toolkit.datasets.options import DatasetOptions
@@ -16,6 +16,7 @@ from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequen
 from toolkit.runs.folder import MapPart, RunFolder
 from toolkit.runs.settings import RunSettings, dump_settings
 from toolkit.splatting.gaussians.cloud import GaussianCloud
+from toolkit.tools.cli.main import main
 
 
 @pytest.fixture(scope="session")
@@ -55,6 +56,14 @@ def run(tmp_path, gaussians, recording) -> Path:
 @pytest.fixture(scope="session")
 def room_runs(tmp_path_factory) -> RoomRuns:
     return make_room_runs(tmp_path_factory.mktemp("room_runs"))
+
+
+@pytest.fixture(scope="session")
+def extended(room_runs, tmp_path_factory) -> Path:
+    """The second walk, mapped in the first one's map."""
+    out = tmp_path_factory.mktemp("extended") / "run"
+    assert main(walk(room_runs.recordings[1], out, "--map", str(room_runs.a))) == 0
+    return out
 
 
 @pytest.fixture(scope="session")

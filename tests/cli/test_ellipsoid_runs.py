@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 import torch
-from room_runs import QUICK, RoomRuns
+from room_runs import RoomRuns
 
 from toolkit.runs.maps.finished import load_run
 from toolkit.runs.maps.splat_clouds import read_cloud
@@ -17,10 +18,7 @@ from toolkit.tools.cli.main import main
 
 @pytest.fixture(scope="module")
 def run(room_runs: RoomRuns, tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("ellipsoids") / "run"
-    dataset = ["--dataset.kind", "synthetic", "--dataset.path", str(room_runs.recordings[0])]
-    assert main(["run", *dataset, *QUICK, "--out", str(out)]) == 0
-    return out
+    return shutil.copytree(room_runs.a, tmp_path_factory.mktemp("ellipsoids") / "run")
 
 
 def test_the_map_says_how_it_is_rendered(run) -> None:
@@ -57,9 +55,7 @@ def test_programs_take_it(run, tmp_path, words) -> None:
     assert main([word.format(run=run, out=tmp_path) for word in words]) == 0
 
 
-def test_a_camera_is_tracked_in_it(run, room_runs, tmp_path) -> None:
+def test_a_camera_is_tracked_in_it(extended) -> None:
     """A second walk is relocalised in the map of ellipsoids, and extends it."""
-    dataset = ["--dataset.kind", "synthetic", "--dataset.path", str(room_runs.recordings[1])]
-    words = ["run", *dataset, *QUICK, "--map", str(run), "--out", str(tmp_path / "more")]
-    assert main(words) == 0
-    assert len(load_run(tmp_path / "more").tracked) > 0
+    more = load_run(extended)
+    assert len(more.tracked) > 0 and more.gaussians.ellipsoids is not None

@@ -3,31 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from programs import semsplat
 
 from toolkit.io.images import read_rgb, write_rgb
 from toolkit.runs.maps.splat_clouds import read_cloud
 from toolkit.tools.cli.main import main
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def semsplat(*words: object) -> subprocess.CompletedProcess[str]:
-    """A program in a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "toolkit.tools.cli.main", *map(str, words)],
-        cwd=ROOT,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
 
 
 def one_line_of_error(capsys, *words: object) -> str:

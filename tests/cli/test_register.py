@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_finished_run_programs import semsplat
+from programs import semsplat
 
 from toolkit.base.geometry import se3
 from toolkit.io.arrays import read_array_tree, write_array_tree

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,14 +20,6 @@ from toolkit.runs.maps.finished import load_run
 from toolkit.slam.loops import relocalisation
 from toolkit.slam.loops.log import read_loop_log
 from toolkit.tools.cli.main import main
-
-
-@pytest.fixture(scope="module")
-def extended(room_runs, tmp_path_factory) -> Path:
-    """The second walk, mapped in the first one's map."""
-    out = tmp_path_factory.mktemp("extended") / "run"
-    assert main(walk(room_runs.recordings[1], out, "--map", str(room_runs.a))) == 0
-    return out
 
 
 def error_of(capsys, words: list[str]) -> str:

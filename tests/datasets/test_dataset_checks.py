@@ -1,11 +1,10 @@
 """`check-data` finds each defect that is inserted into a valid recording, and no others."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from programs import semsplat
 
 from toolkit.datasets.checks import check_recording
 from toolkit.datasets.registry import describe
@@ -186,20 +185,6 @@ def test_program_prints_the_report_and_sets_the_exit_status(make_replica, capsys
 
 
 def test_program_reports_a_wrong_path_in_one_line(tmp_path):
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "toolkit.tools.cli.main",
-            "check-data",
-            "--kind",
-            "tum",
-            "--path",
-            "no",
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = semsplat("check-data", "--kind", "tum", "--path", "no", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr == "semsplat: error: no does not exist; check the path\n"

@@ -6,8 +6,6 @@ import csv
 import json
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from dataclasses import replace
@@ -16,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser_pages import WatchedPage, chromium
+from programs import MAIN, semsplat, start
 from scripted_camera import ScriptedCamera, room_frames
 
 from toolkit.base.errors import CameraError, DatasetError, RunFolderError
@@ -42,7 +41,6 @@ QUICK = MapperOptions(
 )
 SETTINGS = RunSettings(mapping=QUICK)
 FRAMES = room_frames(4)
-LIVE = [sys.executable, "-m", "toolkit.tools.cli.main", "live"]
 
 
 class Follower:
@@ -264,7 +262,7 @@ def test_ctrl_c_finishes_the_map(tiny_recording: Path, tmp_path: Path):
     # The second frame would come after a hundred seconds.
     slow = ["--fps", "0.01", "--checkpoint.every-keyframes", "1"]
     words = replay(tiny_recording, *slow, "--out", str(out))
-    program = subprocess.Popen([*LIVE, *words], stderr=subprocess.PIPE, text=True)
+    program = start("-m", MAIN, "live", *words)
     deadline_s = time.monotonic() + 60.0
     checkpoint = out / "checkpoint" / "0" / "metadata.json"
     while not checkpoint.exists():  # it is saved after the first frame
@@ -330,12 +328,8 @@ def test_bad_input_is_one_line_and_leaves_other_files_alone(tmp_path: Path):
     other = tmp_path / "run" / "notes.txt"
     other.parent.mkdir()
     other.write_text("mine")
-    done = subprocess.run(
-        [*LIVE, "--camera", "replay", "--dataset.path", "nowhere", "--out", str(other.parent)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = ("--camera", "replay", "--dataset.path", "nowhere", "--out", other.parent)
+    done = semsplat("live", *words)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1 and "nowhere" in done.stderr
     assert other.read_text() == "mine"

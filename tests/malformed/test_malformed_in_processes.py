@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import pytest
 from folder_content import content_of
+from programs import semsplat
 
 COMMANDS = [
     "run --dataset.kind folder --dataset.path data --out out --max-frames 0",
@@ -26,14 +23,7 @@ COMMANDS = [
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_process_prints_one_line(place, command):
     before = content_of(place)
-    done = subprocess.run(
-        [sys.executable, "-m", "toolkit.tools.cli.main", *command.split()],
-        cwd=place,
-        env=os.environ | {"PYTHONPATH": os.getcwd(), "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = semsplat(*command.split(), cwd=place)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1, done.stderr
     assert done.stderr.startswith("semsplat: error: ")

@@ -6,6 +6,7 @@ what this processor cannot execute runs under QEMU. Clang stands in for the comp
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import runpy
 import shutil
@@ -46,43 +47,61 @@ TARGETS = {
 }
 
 
-def compiled(target: Target, folder: Path) -> Path:
-    """The compiled program; each source is compiled with the flags of an installation."""
+def compiled(target: Target, cache: Path) -> Path:
+    """The compiled program; each source is compiled with the flags of an installation.
+
+    It is kept in the cache of pytest, because compiling takes most of the time, and replaced when
+    a source, a flag or the compiler changes.
+    """
     macros = [f"-DSEMSPLAT_{name}={value!r}" for name, value in constants.values().items()]
     flags = [flag for flag in SETUP["COMPILE_FLAGS"] if flag not in OPENMP]
     sources = [p for p in sorted(SOURCES.rglob("*.cpp")) if p.parent.name != "bindings"]
     command = [target.compiler, *flags, "-Werror", *target.flags, *macros, f"-I{SOURCES}", "-o"]
-    program = folder / "kernels"
-    built = subprocess.run(
-        [*command, program, PROGRAM, *sources], capture_output=True, text=True, check=False
-    )
-    assert built.returncode == 0, built.stderr
+    version = subprocess.run([target.compiler, "--version"], capture_output=True, check=True).stdout
+    contents = [path.read_bytes() for path in sorted(SOURCES.rglob("*.?pp"))]
+    parts = (repr(command).encode(), version, PROGRAM.read_bytes(), *contents)
+    name = f"{target.compiler}{''.join(target.flags)}-"
+    program = cache / (name + hashlib.sha256(b"\0".join(parts)).hexdigest())
+    if not program.exists():
+        for old in cache.glob(f"{name}*"):
+            old.unlink()
+        built = subprocess.run(
+            [*command, f"{program}.new", PROGRAM, *sources], capture_output=True, text=True
+        )
+        assert built.returncode == 0, built.stderr
+        Path(f"{program}.new").rename(program)
     return program
 
 
-def outputs(target: Target, folder: Path) -> dict[str, np.ndarray]:
+def outputs(target: Target, cache: Path) -> dict[str, np.ndarray]:
     """Values that the program printed, by the names of the kernels' outputs."""
     for program in (target.compiler, *target.emulator):
         if shutil.which(program) is None:
             pytest.skip(f"{program} is not installed")
     if target.instruction_set not in ("", *native.available_instruction_sets()):
         pytest.skip(f"this CPU does not support {target.instruction_set}")
-    run = [*target.emulator, compiled(target, folder)]
+    run = [*target.emulator, compiled(target, cache)]
     printed = subprocess.run(run, capture_output=True, text=True, check=True).stdout
     lines = [line.split() for line in printed.splitlines()]
     return {name: np.array(values, float) for name, *values in lines}
 
 
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory) -> dict[str, np.ndarray]:
+def cache(pytestconfig, tmp_path_factory) -> Path:
+    kept = getattr(pytestconfig, "cache", None)  # without it under -p no:cacheprovider
+    return kept.mkdir("kernels") if kept else tmp_path_factory.mktemp("kernels")
+
+
+@pytest.fixture(scope="module")
+def reference(cache) -> dict[str, np.ndarray]:
     """Outputs of the baseline kernels of this processor."""
-    return outputs(Target("g++", OPENMP), tmp_path_factory.mktemp("reference"))
+    return outputs(Target("g++", OPENMP), cache)
 
 
 @pytest.mark.skipif(not X86, reason="the reference is the x86-64 baseline")
 @pytest.mark.parametrize("name", TARGETS)
-def test_kernels_agree_with_the_baseline(name: str, reference, tmp_path) -> None:
-    found = outputs(TARGETS[name], tmp_path)
+def test_kernels_agree_with_the_baseline(name: str, reference, cache) -> None:
+    found = outputs(TARGETS[name], cache)
     assert found.keys() == reference.keys()
     # Rounding decides whether a pixel near the alpha threshold counts, which changes sums by more
     # than rounding itself.

@@ -1,13 +1,14 @@
 """`semsplat doctor`: names what is there, and the line that mends what is not."""
 
 import pytest
+from programs import semsplat
 
 from toolkit.base import native
 from toolkit.tools.cli import doctor
 
 
-def test_the_launcher_prints_a_line_for_each_part_of_the_machine(run_python):
-    result = run_python("-m", "toolkit.tools.cli.main", "doctor")
+def test_the_launcher_prints_a_line_for_each_part_of_the_machine():
+    result = semsplat("doctor")
     assert result.stderr == ""
     for subject in ("instruction set", "native kernels", "threads", "gpu", "open3d", "gtsam"):
         assert f"\n{subject} " in result.stdout

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from programs import run
+
 from benchmarks.shared.results_file import read_results
 
 DRAW = """
@@ -21,9 +23,9 @@ def test_the_shipped_trees_are_made_again_byte_for_byte(run_python, checkout, tm
     assert made == {path.name: path.read_bytes() for path in shipped}
 
 
-def test_the_benchmark_measures_every_list(run_python, tmp_path):
+def test_the_benchmark_measures_every_list(tmp_path):
     words = ("-m", "benchmarks.semantics.trees", "widths", "--fresh", "--out", str(tmp_path))
-    result = run_python(*words)
+    result = run(*words)
     assert result.returncode == 0, result.stderr
     results = read_results(tmp_path / "taxonomies.md")
     names = {name for name, *_ in results.table().rows}

@@ -146,11 +146,12 @@ doctor.main([])
     call(*pip, "--quiet", *shlex.split(remedy)[1:], cwd=tmp_path, env=os.environ)
 
 
-def test_an_installed_program_writes_a_page_outside_the_checkout(installed, tmp_path):
+def test_an_installed_program_writes_a_page_outside_the_checkout(
+    installed, tiny_recording, tmp_path
+):
     programs, known = installed
-    program, room = programs / "semsplat", ["--image-size", "64", "48", "--frames", "3"]
-    call(program, "make-room", "--out", "room", *room, cwd=tmp_path, env=known)
-    source = ["--dataset.kind", "synthetic", "--dataset.path", "room"]
+    program = programs / "semsplat"
+    source = ["--dataset.kind", "folder", "--dataset.path", tiny_recording, "--max-frames", "3"]
     call(program, "run", *source, "--out", "run", cwd=tmp_path, env=known)
     call(program, "export", "run", "--to", "viewer.html", cwd=tmp_path, env=known)
     assert (tmp_path / "viewer.html").stat().st_size > 10_000

@@ -5,12 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from killed_runs import kept_checkpoints
+from programs import semsplat
 from tiny_recording import FRAMES
 
 from toolkit.runs.maps.finished import load_run
@@ -24,12 +23,7 @@ OPTIONS = ("--pace", "1000", "--pacing.max-delay-s", "0.001")
 def paced_run(tiny_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("paced") / "run"
     words = ["--dataset.kind", "folder", "--dataset.path", str(tiny_recording), *OPTIONS]
-    done = subprocess.run(
-        [sys.executable, "-m", "toolkit.tools.cli.main", "run", *words, "--out", str(out)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = semsplat("run", *words, "--out", out)
     assert done.returncode == 0, done.stderr
     return out
 

@@ -6,11 +6,11 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
+from programs import MAIN, run, start
 
 from toolkit.base.errors import RunFolderError, Stopped
 from toolkit.runs.folder import RunFolder
@@ -147,7 +147,7 @@ def test_a_killed_job_is_repeated(tiny_run: Path, tmp_path: Path, capsys, job: s
     options, function, last = JOBS[job]
     out = tmp_path / "out"
     words = [job, str(tiny_run), "--to" if job == "export" else "--out", str(out), *options]
-    killed = subprocess.run([sys.executable, "-c", KILLED, function, *words], capture_output=True)
+    killed = run("-c", KILLED, function, *words)
     assert killed.returncode == -9, killed.stderr
     assert not (out / last).exists()
     (out / "notes.txt").write_text("of the user")
@@ -177,8 +177,7 @@ def test_folders_of_others_are_refused(tmp_path):
 
 
 def _started(*words: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "toolkit.tools.cli.main", *map(str, words)]
-    return subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    return start("-m", MAIN, *words, stdout=subprocess.DEVNULL)
 
 
 def _wait(program: subprocess.Popen[str], path: Path) -> None:

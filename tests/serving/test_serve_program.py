@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import socket
@@ -16,26 +15,16 @@ from pathlib import Path
 
 import httpx2 as httpx
 import pytest
+from programs import MAIN, start
 
 from toolkit.io.addresses import bind, is_local
 from toolkit.tools.cli.main import main
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @contextmanager
 def service(*words: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A service in a process of its own, and its URL; it is ended with the block."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "toolkit.tools.cli.main", "serve", *map(str, words), "--port", "0"],
-        cwd=ROOT,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # A background job of a shell ignores Ctrl-C, and so would its children.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
+    process = start("-m", MAIN, "serve", *words, "--port", 0)
     try:
         assert process.stdout is not None
         line = process.stdout.readline()

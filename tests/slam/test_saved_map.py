@@ -145,23 +145,36 @@ def test_where_nothing_is_found_a_submap_of_its_own_begins(room, saved):
     assert np.array_equal(final.submaps[own].T_world_submap, np.eye(4))
 
 
-@pytest.mark.parametrize("cut", [0, 1, 4])
-def test_it_goes_on_from_a_checkpoint_to_the_same_bits(room, saved, cut, tmp_path):
+CUTS = (0, 1, 4)
+
+
+@pytest.fixture(scope="module")
+def interrupted(room, saved, tmp_path_factory):
+    """Six frames, states and folders where they are cut, and what they lead to without a cut."""
+    root = tmp_path_factory.mktemp("interrupted")
     frames = back(room)[:6]
     frames[:2] = blind_frames(frames[:2])
-    whole = begun(saved, patience=50, folder=tmp_path / "whole")
-    fed(whole, frames[:cut])
-    state = whole.state()
-    shutil.copytree(tmp_path / "whole", tmp_path / "other")
-    other = new_slam(patience=50, folder=tmp_path / "other")
-    other.restore(state[0], json.loads(json.dumps(state[1])))
-    assert other.atlas.saved == len(saved) and other.atlas.has_active_submap == (cut == 4)
-    fed(whole, frames[cut:])
-    fed(other, frames[cut:])
-    assert fingerprint(whole) == fingerprint(other)
-    for slam in (whole, other):
-        slam.finish()
-    assert np.array_equal(whole.result().gaussians.means, other.result().gaussians.means)
+    slam, states = begun(saved, patience=50, folder=root / "whole"), {}
+    for index, frame in enumerate(frames):
+        if index in CUTS:
+            arrays, values = slam.state()
+            folder = shutil.copytree(root / "whole", root / f"{index}")
+            states[index] = arrays, json.loads(json.dumps(values)), folder
+        fed(slam, [frame])
+    before = fingerprint(slam)
+    return frames, states, before, slam.finish().gaussians.means
+
+
+@pytest.mark.parametrize("cut", CUTS)
+def test_it_goes_on_from_a_checkpoint_to_the_same_bits(interrupted, saved, cut):
+    frames, states, before, means = interrupted
+    arrays, values, folder = states[cut]
+    slam = new_slam(patience=50, folder=folder)
+    slam.restore(arrays, values)
+    assert slam.atlas.saved == len(saved) and slam.atlas.has_active_submap == (cut == 4)
+    fed(slam, frames[cut:])
+    assert fingerprint(slam) == before
+    assert np.array_equal(slam.finish().gaussians.means, means)
 
 
 def test_a_submap_of_its_own_is_joined_by_a_loop(room, saved, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -74,14 +75,32 @@ def new_slam(folder=None, revisit=0.05, closing=None):
 
 
 @pytest.fixture(scope="module")
-def returned(there_and_back):
+def walked(there_and_back, tmp_path_factory):
+    """A system that was fed the whole way, what became of each frame, and its folder. Read only."""
+    folder = tmp_path_factory.mktemp("walked")
     with pytest.MonkeyPatch.context() as patch:
         for module in (keyframes, submap_changes):
             patch.setattr(module, "RECENT", 3)
-        slam = new_slam()
-        results = fed(slam, there_and_back[0])
-        entered = slam.atlas.active
-        return slam, results, entered, slam.finish()
+        slam = new_slam(folder)
+        return slam, fed(slam, there_and_back[0]), folder
+
+
+def restored(walked, folder):
+    again = new_slam(shutil.copytree(walked[2], folder))
+    again.restore(*walked[0].state())
+    return again
+
+
+@pytest.fixture
+def slam(walked, tmp_path):
+    """A system that was fed the whole way."""
+    return restored(walked, tmp_path / "slam")
+
+
+@pytest.fixture(scope="module")
+def returned(walked, tmp_path_factory):
+    slam = restored(walked, tmp_path_factory.mktemp("returned") / "slam")
+    return slam, walked[1], slam.atlas.active, slam.finish()
 
 
 def test_the_way_back_goes_through_the_submaps_of_the_way_there(returned, there_and_back):
@@ -110,10 +129,9 @@ def test_without_the_rule_every_visit_is_mapped(there_and_back, returned):
     assert len(slam.atlas) > len(returned[3].submaps)
 
 
-def test_a_killed_run_continues_in_the_submap_that_it_had_entered(there_and_back, tmp_path):
+def test_a_killed_run_continues_in_the_submap_that_it_had_entered(there_and_back, walked, tmp_path):
     frames, _ = there_and_back
-    whole = new_slam(tmp_path / "whole")
-    results = fed(whole, frames)
+    whole, results, _ = walked
     entered = next(
         i for i in range(COUNT, len(frames)) if results[i].submap < results[i - 1].submap
     )
@@ -127,10 +145,8 @@ def test_a_killed_run_continues_in_the_submap_that_it_had_entered(there_and_back
     assert fingerprint(again) == fingerprint(whole)
 
 
-def test_a_new_submap_after_the_way_back_is_linked_to_the_newest_one(there_and_back):
+def test_a_new_submap_after_the_way_back_is_linked_to_the_newest_one(slam):
     """The odometry stays a chain: from the newest submap back to where the new one starts."""
-    slam = new_slam()
-    fed(slam, there_and_back[0])
     newest = len(slam.atlas) - 1
     assert newest > 1 and slam.atlas.active == 0
     closer = slam._closer
@@ -142,10 +158,8 @@ def test_a_new_submap_after_the_way_back_is_linked_to_the_newest_one(there_and_b
     assert np.trace(way.covariance) > 2 * np.trace(direct), "it drifted on the way"
 
 
-def test_the_link_after_the_way_back_is_what_was_measured(there_and_back):
+def test_the_link_after_the_way_back_is_what_was_measured(slam):
     """Loops may have moved the anchors, wrongly: odometry does not contain it."""
-    slam = new_slam()
-    fed(slam, there_and_back[0])
     atlas, closer = slam.atlas, slam._closer
     newest = len(atlas) - 1
     expected = closer._graph.odometry.ways_back[0].T_first_second @ atlas.keyframes[-1].T_map_camera
@@ -185,11 +199,9 @@ def test_without_loops_between_submaps_entering_one_adds_none(there_and_back):
 
 @pytest.mark.parametrize("full", [False, True])
 def test_a_submap_that_shows_a_part_of_the_view_is_entered_unless_it_is_full(
-    there_and_back, monkeypatch, full
+    slam, there_and_back, monkeypatch, full
 ):
-    slam = new_slam()
     frames = there_and_back[0]
-    fed(slam, frames)
     known = len(slam.atlas)
     assert known > 2 and slam.atlas.active == 0 and slam.atlas.visited > 0
     changes = submap_changes.SubmapChanges
@@ -201,10 +213,8 @@ def test_a_submap_that_shows_a_part_of_the_view_is_entered_unless_it_is_full(
     assert full or 0 < results[-1].submap < known
 
 
-def test_a_full_submap_does_not_grow_while_it_shows_the_view(there_and_back, monkeypatch):
-    slam = new_slam()
+def test_a_full_submap_does_not_grow_while_it_shows_the_view(slam, there_and_back, monkeypatch):
     frames = there_and_back[0]
-    fed(slam, frames)
     known, count = len(slam.atlas), len(slam.atlas.keyframes)
     changes = submap_changes.SubmapChanges
     monkeypatch.setattr(Atlas, "is_full", lambda self, submap: True)

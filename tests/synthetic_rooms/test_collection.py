@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import semsplat
 
 from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic_rooms import collection
@@ -25,11 +24,7 @@ def folder(tmp_path_factory) -> Path:
     """A room of 300 classes, as the program writes it."""
     path = tmp_path_factory.mktemp("rooms") / "collection"
     words = ["--classes", str(CLASSES), "--frames", str(FRAMES), "--image-size", "160", "120"]
-    subprocess.run(
-        [sys.executable, "-m", "toolkit.tools.cli.main", "make-room", "--out", path, *words,
-         "--unseen", "0"],
-        check=True, capture_output=True,
-    )  # fmt: skip
+    semsplat("make-room", "--out", path, *words, "--unseen", 0).check_returncode()
     return path
 
 

@@ -1,13 +1,12 @@
 """Rooms on disk: layout, reproducibility and invalid arguments."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from programs import run
 
 from toolkit.base.errors import DatasetError, SettingsError
 from toolkit.base.geometry.camera import Camera
@@ -79,11 +78,8 @@ def test_mesh_agrees_with_depth(made):
 
 def test_output_is_reproducible_across_processes(made, tmp_path):
     out = tmp_path / "again"
-    subprocess.run(
-        [sys.executable, LAUNCHER, "--out", out, "--frames", "6", "--share", "0.1",
-         "--image-size", "64", "48", "--unseen", "2"],
-        check=True, capture_output=True,
-    )  # fmt: skip
+    words = ("--frames", 6, "--share", 0.1, "--image-size", 64, 48, "--unseen", 2)
+    run(LAUNCHER, "--out", out, *words).check_returncode()
     first, second = _bytes(made), _bytes(out)
     assert first.keys() == second.keys()
     assert [name for name in first if first[name] != second[name]] == []
@@ -146,9 +142,7 @@ def test_values_out_of_range_raise(values, message):
 
 def test_program_reports_errors_in_one_line(tmp_path):
     (tmp_path / "thesis.txt").write_text("precious")
-    done = subprocess.run(
-        [sys.executable, LAUNCHER, "--out", tmp_path], capture_output=True, text=True
-    )
+    done = run(LAUNCHER, "--out", tmp_path)
     assert done.returncode != 0
     assert len(done.stderr.strip().splitlines()) == 1
     assert "give another folder" in done.stderr

@@ -7,8 +7,6 @@ import json
 import shutil
 import signal
 import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from programs import MAIN, start
 
 from toolkit.io.splats import write_splat_ply
 from toolkit.runs.maps.splat_clouds import read_cloud
@@ -25,14 +24,7 @@ from toolkit.tools.cli.main import main
 @contextmanager
 def viewer(*words: object) -> Iterator[http.client.HTTPConnection]:
     """A connection to the program, which is interrupted at the end of the block."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "toolkit.tools.cli.main", "view", *map(str, words), "--port", "0"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # Shells start background jobs, and so the tests in them, with SIGINT ignored.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    ) as process:
+    with start("-m", MAIN, "view", *words, "--port", 0) as process:
         try:
             address = process.stdout.readline().strip()
             assert address.startswith("http://127.0.0.1:"), process.stderr.read()

@@ -147,8 +147,9 @@ def _candidates() -> tuple[Colours, NDArray[np.float64], NDArray[np.float64]]:
     return rgb[kept], lab[kept], axes[kept]
 
 
+@functools.lru_cache(maxsize=8)
 def _node_colours(taxonomy: Taxonomy) -> Colours:
-    """Return the colours [M, 3] of all nodes."""
+    """Return the colours [M, 3] of all nodes, read only. A run needs those of its tree thrice."""
     rgb, lab, axes = _candidates()
     regions = _regions(taxonomy, axes)
     eligible = [
@@ -169,7 +170,9 @@ def _node_colours(taxonomy: Taxonomy) -> Colours:
                 squares = ((lab[members][:, None] - others) ** 2).sum(axis=2)
                 chosen[node] = members[squares.min(axis=1).argmax()]
         settled.update(int(node) for node in nodes)
-    return rgb[chosen]
+    colours = rgb[chosen]
+    colours.setflags(write=False)
+    return colours
 
 
 def _regions(taxonomy: Taxonomy, axes: NDArray[np.float64]) -> list[NDArray[np.intp]]:

@@ -4,42 +4,34 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from chat_server import fails
 from fake_endpoint import KEY, says
+from programs import semsplat
 from test_language_model import CLASSES, INJECTIONS
 from test_trees_of_a_model import moody
 
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.tools.cli.main import main
 
-ROOT = Path(__file__).resolve().parents[3]
 NAMES = (*CLASSES, INJECTIONS[0])
 MODEL = ("--grouper", "language-model")
 
 
 @pytest.fixture
-def build(tmp_path, fake) -> Callable[..., subprocess.CompletedProcess[str]]:
+def build(tmp_path, fake, monkeypatch) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs the program in a scratch folder that holds names.txt."""
     pytest.importorskip("openai")
+    for name in [name for name in os.environ if name.startswith("SEMSPLAT_LLM")]:
+        monkeypatch.delenv(name)
     (tmp_path / "names.txt").write_text("\n".join(NAMES))
 
     def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-        inherited = {n: v for n, v in os.environ.items() if not n.startswith("SEMSPLAT_LLM")}
-        program = [sys.executable, "-m", "toolkit.tools.cli.main", "--verbose", "build-taxonomy"]
-        return subprocess.run(
-            [*program, "--classes", "names.txt", *words],
-            cwd=tmp_path,
-            env=inherited | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"} | environment,
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
+        program = ("--verbose", "build-taxonomy", "--classes", "names.txt")
+        return semsplat(*program, *words, cwd=tmp_path, env=environment)
 
     return run
 

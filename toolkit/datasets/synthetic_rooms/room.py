@@ -253,7 +253,7 @@ def _texel_m(settings: RoomSettings) -> float:
     return max(1.0 / (_FOCAL * settings.width), 0.0015)
 
 
-@functools.lru_cache(maxsize=2)
+@functools.lru_cache(maxsize=8)
 def _shared_scene(layout_name: str, seed: int, texel_m: float) -> Scene:
     """Build the scene of a tiny room; cached, because scenes are small and often reused."""
     return build_scene(LAYOUTS[layout_name](), seed, texel_m)

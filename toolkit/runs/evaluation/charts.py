@@ -138,17 +138,22 @@ def drawing(draw: Callable[[Plot], None], label: str) -> Markup:
     # Imported here, because a run needs matplotlib only for its report. pyplot is not used because
     # it keeps figures and settings in global state.
     from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     content = io.StringIO()
     with rc_context(_STYLE):
-        figure = Figure(figsize=(_SIZE[0] / 72, _SIZE[1] / 72), layout="constrained")
+        figure = Figure(figsize=(_SIZE[0] / 72, _SIZE[1] / 72))
+        FigureCanvasSVG(figure)
         plot = figure.subplots()
         draw(plot)
         # One entry for all artists of a name.
         named = dict(zip(*reversed(plot.get_legend_handles_labels()), strict=True))
         if named:
             figure.legend(named.values(), named, loc="outside upper left", ncols=_columns([*named]))
+        # A figure with a layout would draw everything twice, first to lay it out.
+        ConstrainedLayoutEngine().execute(figure)
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(content, format="svg", metadata=nothing, transparent=True)
     return _embedded(content.getvalue(), label)
