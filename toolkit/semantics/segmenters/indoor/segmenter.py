@@ -1,0 +1,124 @@
+"""Classes of indoor surfaces from depth, agreed on by all views of a place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolkit.base.frame import Frame
+from toolkit.base.geometry import se3
+from toolkit.base.geometry.image_sides import ImageSide
+from toolkit.semantics.options import GeometricOptions
+from toolkit.semantics.segmenters.geometric.labelling import label_cells, label_pixels
+from toolkit.semantics.segmenters.geometric.levelled import LevelledGrid
+from toolkit.semantics.segmenters.geometric.room import Room
+from toolkit.semantics.segmenters.geometric.surface_grid import surface_grid
+from toolkit.semantics.segmenters.indoor.channels import indoor_channels
+from toolkit.semantics.segmenters.indoor.classes import INDOOR_CLASSES, INDOOR_KINDS
+from toolkit.semantics.segmenters.indoor.network import IndoorWeights, load_weights
+from toolkit.semantics.segmenters.indoor.votes import ClassVotes
+
+Values = NDArray[np.float32]
+
+# Maximum number of cells across the image.
+_COLUMNS = 160
+# Probability of the kind (structure, furniture, object) below which a cell is void.
+_SURE = 0.5
+
+
+class IndoorSegmenter:
+    """Labels floor, walls, doors, furniture and objects (`INDOOR_CLASSES`) from depth alone.
+
+    A network labels each view. Its probabilities are joined with the structure of the room that
+    the geometric segmenter finds, then with those of earlier views in voxels of the map frame. All
+    poses must be in the same frame. A frame without a pose is labelled independently and does not
+    change the state. Pixels without depth, and those whose kind is in doubt, are void.
+
+    Args:
+        options: heights of the camera.
+        side: the side of the images that is up.
+        weights: file of the network's weights; by default those of the package.
+
+    Raises:
+        FormatError: the file of weights is invalid.
+    """
+
+    def __init__(
+        self,
+        options: GeometricOptions | None = None,
+        side: ImageSide = "top",
+        weights: Path | None = None,
+    ) -> None:
+        self.class_names: Mapping[int, str] = dict(enumerate(INDOOR_CLASSES, start=1))
+        self.place_divergence = 0.15
+        self._options, self._side = options or GeometricOptions(), side
+        self._weights = _shipped() if weights is None else load_weights(weights)
+        self._room, self._votes = self._new_room(), ClassVotes(len(INDOOR_CLASSES))
+
+    def _new_room(self) -> Room:
+        return Room(self._options.camera_height_m, self._side)
+
+    def segment(
+        self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
+    ) -> NDArray[np.int32]:
+        """Class ids [H, W] from 1 in the order of `INDOOR_CLASSES`, 0 where they are unknown."""
+        grid = surface_grid(frame.depth_m, frame.camera, _COLUMNS)
+        if not grid.oriented.any():
+            return np.zeros(frame.depth_m.shape, np.int32)
+        room = self._room if T_map_camera is not None else self._new_room()
+        pose = np.eye(4) if T_map_camera is None else np.asarray(T_map_camera, dtype=np.float64)
+        view = room.update(grid, pose)
+        log_p = view_log_probabilities(self._weights, view, room)[:, grid.valid].T
+        if T_map_camera is not None:
+            points = se3.transform_points(pose, grid.points[grid.valid].astype(np.float64))
+            log_p, _ = self._votes.add(points, log_p)
+        cells = np.zeros(grid.valid.shape, np.uint8)
+        cells[grid.valid] = _sure_classes(log_p)
+        return label_pixels(cells, grid, frame.depth_m, frame.camera)
+
+    def state(self) -> dict[str, NDArray]:
+        """Return the structure of the room and the votes."""
+        votes = {f"votes/{name}": array for name, array in self._votes.state().items()}
+        return {**self._room.state(), **votes}
+
+    def restore(self, arrays: dict[str, NDArray]) -> None:
+        """Restore an earlier `state`."""
+        self._room.restore(arrays)
+        self._votes.restore({n[6:]: a for n, a in arrays.items() if n.startswith("votes/")})
+
+
+def view_log_probabilities(weights: IndoorWeights, view: LevelledGrid, room: Room) -> Values:
+    """Log probabilities [C, h, w] of one view by the network and by the structure of the room."""
+    floor_m = room.floor_height_m
+    below = None if floor_m is None else floor_m - view.camera_height_m
+    channels = indoor_channels(view.grid, view.up_camera, below)
+    with torch.no_grad():
+        log_p = weights.log_probabilities(torch.from_numpy(channels)).numpy()
+    log_p += weights.structure[label_cells(view, room)].transpose(2, 0, 1)
+    return np.asarray(log_p - _log_sum(log_p, axis=0), dtype=np.float32)
+
+
+def _sure_classes(log_p: Values) -> NDArray[np.uint8]:
+    """Class ids [N] of log probabilities [N, C], 0 where the kind is in doubt."""
+    p = np.exp(log_p - _log_sum(log_p, axis=1))
+    kinds = np.stack([p[:, k == INDOOR_KINDS].sum(axis=1) for k in np.unique(INDOOR_KINDS)], axis=1)
+    kind = kinds.argmax(axis=1)
+    inside = np.where(INDOOR_KINDS[None] == kind[:, None], p, -1.0)
+    sure = kinds.max(axis=1) >= _SURE
+    return np.where(sure, inside.argmax(axis=1) + 1, 0).astype(np.uint8)
+
+
+def _log_sum(log_p: Values, axis: int) -> Values:
+    largest = log_p.max(axis=axis, keepdims=True)
+    total = np.exp(log_p - largest).sum(axis=axis, keepdims=True)
+    return np.asarray(largest + np.log(total), dtype=np.float32)
+
+
+def _shipped() -> IndoorWeights:
+    with resources.as_file(resources.files(__package__) / "weights.safetensors") as path:
+        return load_weights(path)
