@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics import trees as bundled
+from toolkit.semantics.segmenters.indoor.classes import INDOOR_CLASSES, INDOOR_TREE
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
@@ -46,7 +47,16 @@ def trees() -> list[Taxonomy]:
         build("nyu40", _names(NYU40)),
         build("scannet20", _names(SCANNET20)),
         build("geometric", _names(GEOMETRIC), function_only),
+        _indoor(),
     ]
+
+
+def _indoor() -> Taxonomy:
+    tree = {
+        kind: {group: dict.fromkeys(names, {}) for group, names in groups.items()}
+        for kind, groups in INDOOR_TREE.items()
+    }
+    return Taxonomy(tree, ("kind", "group", "class"), INDOOR_CLASSES, "indoor")
 
 
 def _names(text: str) -> list[str]:

@@ -5,23 +5,37 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-# Groups of the bundled tree `indoor`, by kind: structure, furniture, objects.
-_TREE: tuple[tuple[tuple[str, ...], ...], ...] = (
-    (("floor",), ("wall",), ("ceiling",), ("door",), ("window", "blinds")),
-    (("table", "desk"), ("chair",), ("sofa",), ("bed",), ("cabinet", "shelf"),
-     ("appliance", "sanitary")),
-    (("lamp", "screen", "picture"), ("plant", "cushion", "box", "thing")),
-)  # fmt: skip
+# The bundled tree `indoor`: kinds, groups, classes.
+INDOOR_TREE: dict[str, dict[str, tuple[str, ...]]] = {
+    "structure": {
+        "floor": (),
+        "wall": (),
+        "ceiling": (),
+        "door": (),
+        "windows": ("window", "blinds"),
+    },
+    "furniture": {
+        "tables": ("table", "desk"),
+        "chair": (),
+        "sofa": (),
+        "bed": (),
+        "storage": ("cabinet", "shelf"),
+        "fixtures": ("appliance", "sanitary"),
+    },
+    "object": {
+        "fittings": ("lamp", "screen", "picture"),
+        "things": ("plant", "cushion", "box", "thing"),
+    },
+}
 
-INDOOR_CLASSES: tuple[str, ...] = tuple(name for kind in _TREE for group in kind for name in group)
+_PATHS: tuple[tuple[int, str, str], ...] = tuple(
+    (number, group, name)
+    for number, groups in enumerate(INDOOR_TREE.values())
+    for group, names in groups.items()
+    for name in names or (group,)
+)
+INDOOR_CLASSES: tuple[str, ...] = tuple(name for _, _, name in _PATHS)
 # Number of the kind and of the group of each class.
-INDOOR_KINDS: NDArray[np.int64] = np.array(
-    [number for number, kind in enumerate(_TREE) for group in kind for _ in group]
-)
-INDOOR_GROUPS: NDArray[np.int64] = np.array(
-    [
-        number
-        for number, group in enumerate(group for kind in _TREE for group in kind)
-        for _ in group
-    ]
-)
+INDOOR_KINDS: NDArray[np.int64] = np.array([kind for kind, _, _ in _PATHS])
+_GROUPS = list(dict.fromkeys(group for _, group, _ in _PATHS))
+INDOOR_GROUPS: NDArray[np.int64] = np.array([_GROUPS.index(group) for _, group, _ in _PATHS])
