@@ -52,8 +52,8 @@ def trees() -> list[Taxonomy]:
 
 
 def _indoor() -> Taxonomy:
-    tree = {
-        kind: {group: dict.fromkeys(names, {}) for group, names in groups.items()}
+    tree: dict[str, dict[str, dict[str, dict[str, str]]]] = {
+        kind: {group: {name: {} for name in names} for group, names in groups.items()}
         for kind, groups in INDOOR_TREE.items()
     }
     return Taxonomy(tree, ("kind", "group", "class"), INDOOR_CLASSES, "indoor")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,6 +22,7 @@ from tqdm import tqdm
 
 from data_tools.training_rooms.samples import TrainingBatches, batch
 from data_tools.training_rooms.structure import structure_evidence
+from toolkit.io.atomic import replacing
 from toolkit.semantics.segmenters.indoor.classes import INDOOR_CLASSES, INDOOR_GROUPS
 from toolkit.semantics.segmenters.indoor.network import IndoorNetwork
 
@@ -96,9 +96,8 @@ class Training:
             "average": self.average,
             "frequency": self.frequency,
         }
-        part = path.with_suffix(".part")
-        torch.save(state, part)
-        os.replace(part, path)
+        with replacing(path) as temporary:
+            torch.save(state, temporary)
 
     def restore(self, path: Path) -> None:
         """Continue from a state that `save` wrote."""
@@ -165,7 +164,9 @@ def export(training: Training, out: Path) -> None:
         if not name.endswith("num_batches_tracked")
     }
     recipe = {"steps": training.step, "batch": _BATCH, "seed": training.seed}
-    save_file(tensors, out, {"classes": ",".join(INDOOR_CLASSES), "recipe": json.dumps(recipe)})
+    header = {"classes": ",".join(INDOOR_CLASSES), "recipe": json.dumps(recipe)}
+    with replacing(out) as temporary:
+        save_file(tensors, temporary, header)
 
 
 def main() -> None:
@@ -181,7 +182,7 @@ def main() -> None:
     if options.state.exists():
         training.restore(options.state)
     data = TrainingBatches(options.seed, training.step, _BATCH)
-    loader = DataLoader(data, batch_size=None, num_workers=options.workers, prefetch_factor=4)
+    loader = DataLoader(data, batch_size=None, num_workers=options.workers)
     saved, curve = time.monotonic(), 0.0
     bar = tqdm(total=options.steps, initial=training.step, unit="step", mininterval=10)
     try:

@@ -41,9 +41,11 @@ def _legs(name: str, width: float, depth: float, height: float, thick: float) ->
     return [box(name, (thick, thick, height), (x, y, 0.0)) for x, y in places]
 
 
-def table(rng: Generator) -> Piece:
+def table(rng: Generator, low: bool | None = None) -> Piece:
     """A table on legs, panels, a trestle or a column, or a solid low one; often laid."""
-    kind = rng.choice(["dining", "coffee", "side", "conference", "round"])
+    lows, highs = ["coffee", "coffee", "side"], ["dining", "conference", "round"]
+    kinds = lows if low else lows + highs
+    kind = rng.choice(kinds)
     low = kind in ("coffee", "side")
     height = rng.uniform(0.28, 0.55) if low else rng.uniform(0.7, 0.78)
     ranges = {
@@ -561,8 +563,8 @@ def lounge(rng: Generator) -> Piece:
     """A sofa with a low table before it, and often a lamp or an armchair."""
     piece = sofa(rng)
     reach = -float(extent(piece)[0, 1])
-    low = table(rng)
-    if extent(low)[1, 2] < 0.9 and chance(rng, 0.9):
+    low = table(rng, low=True)
+    if chance(rng, 0.9):
         piece += placed(low, (rng.normal(0, 0.3), -reach - rng.uniform(0.1, 0.5), 0.0))
     right = float(extent(piece)[1, 0])
     if chance(rng, 0.3):

@@ -32,8 +32,8 @@ class Family:
     size_m: tuple[tuple[float, float], tuple[float, float]]
     along_walls: dict[f.Maker, float]
     inside: dict[f.Maker, float]
-    density: float = 0.55
-    inner_density: float = 0.06
+    density: float = 0.8
+    inner_density: float = 0.09
 
 
 _ANYTHING: dict[f.Maker, float] = {
@@ -58,25 +58,25 @@ FAMILIES: dict[str, Family] = {
             f.table: 0.5,
         },
         {f.with_chairs: 2.0, f.table: 0.5, f.chair: 1.0, f.kitchen: 0.4},
-        density=0.7,
+        density=0.9,
     ),
     "office": Family(
         ((3.0, 9.0), (2.8, 7.0)),
         _ANYTHING | {f.office_place: 6.0, f.desk: 1.0, f.appliance: 1.0, f.board: 0.8},
         {f.office_place: 3.0, f.with_chairs: 1.0, f.chair: 1.0, f.on_floor: 0.4},
-        density=0.6,
-        inner_density=0.09,
+        density=0.8,
+        inner_density=0.12,
     ),
     "bedroom": Family(
         ((2.8, 5.5), (2.6, 5.0)),
-        _ANYTHING | {f.bed: 5.0, f.desk: 1.0, f.cabinet: 4.0},
-        {f.chair: 1.0, f.on_floor: 1.0, f.bed: 0.7},
+        _ANYTHING | {f.bed: 4.0, f.desk: 1.0, f.cabinet: 4.0},
+        {f.armchair: 1.0, f.table: 1.0, f.on_floor: 1.0, f.bed: 0.5},
     ),
     "bathroom": Family(
         ((1.8, 3.5), (1.6, 3.2)),
         {f.sanitary: 6.0, f.cabinet: 1.5, f.appliance: 1.0, f.shelf: 0.5, f.on_floor: 0.7},
         {f.on_floor: 1.0, f.chair: 0.5},
-        density=0.7,
+        density=0.9,
     ),
     "corridor": Family(
         ((5.0, 14.0), (1.3, 2.6)),
@@ -89,7 +89,7 @@ FAMILIES: dict[str, Family] = {
             f.appliance: 1.0,
         },
         {f.on_floor: 1.0},
-        density=0.15,
+        density=0.3,
         inner_density=0.01,
     ),
     "hall": Family(
@@ -103,11 +103,11 @@ FAMILIES: dict[str, Family] = {
             f.plant: 0.7,
             f.armchair: 1.5,
         },
-        density=0.3,
+        density=0.5,
     ),
 }
 # Bathrooms and halls are rarer in recordings than the others.
-_WEIGHTS = np.array([1.0, 0.9, 1.0, 0.9, 0.4, 0.5, 0.5])
+_WEIGHTS = np.array([1.3, 0.9, 1.0, 0.6, 0.4, 0.5, 0.6])
 
 
 @dataclass(frozen=True)

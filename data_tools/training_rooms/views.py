@@ -64,7 +64,11 @@ class RenderedRoom:
         self._casting.add_triangles(
             tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32))
         )
-        self._targets = [extent([s]).mean(axis=0) for s in room.piece if s.name not in _SHELL]
+        self._targets: dict[str, list[NDArray[np.float64]]] = {}
+        for solid in room.piece:
+            if solid.name not in _SHELL:
+                middle = extent([solid]).mean(axis=0)
+                self._targets.setdefault(solid.name, []).append(middle)
 
     def view(self, rng: Generator, width: int, height: int) -> View | None:
         """A random view as a random sensor measures it; None if there is little in it."""
@@ -80,12 +84,17 @@ class RenderedRoom:
     def _pose(self, rng: Generator) -> NDArray[np.float64]:
         """A camera inside the room that looks at a piece of furniture, or anywhere."""
         width, depth, height = self.room.size_m
-        eye = rng.uniform([0.2, 0.2, 0.0], [width - 0.2, depth - 0.2, 0.0])
-        eye[2] = np.clip(rng.choice([0.5, 1.0, 1.5, 1.6]) + rng.normal(0, 0.25), 0.2, height - 0.15)
-        if self._targets and rng.random() < 0.75:
-            target = self._targets[rng.integers(len(self._targets))] + rng.normal(0, 0.3, 3)
-        else:
-            target = rng.uniform([0, 0, 0], [width, depth, 1.6])
+        low, high = [0.2, 0.2, 0.2], [width - 0.2, depth - 0.2, height - 0.15]
+        eye = rng.uniform(low, high)
+        target = rng.uniform([0, 0, 0], [width, depth, 1.6])
+        if self._targets and rng.random() < 0.8:
+            # A class first: rooms have hundreds of books and one table.
+            of_class = list(self._targets.values())[rng.integers(len(self._targets))]
+            target = of_class[rng.integers(len(of_class))] + rng.normal(0, 0.3, 3)
+            angle, distance = rng.uniform(0, 2 * np.pi), rng.uniform(0.6, 3.5)
+            eye[:2] = target[:2] + distance * np.array([np.cos(angle), np.sin(angle)])
+        eye[2] = rng.choice([0.5, 1.0, 1.5, 1.6]) + rng.normal(0, 0.25)
+        eye = np.clip(eye, low, high)
         ahead = target - eye
         ahead[2] = np.clip(ahead[2], -1.6 * np.hypot(*ahead[:2]), 0.7 * np.hypot(*ahead[:2]))
         return _looking(eye, ahead + 1e-6, rng.normal(0, 0.08))

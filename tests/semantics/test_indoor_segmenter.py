@@ -38,9 +38,7 @@ def segmented(segmenter: IndoorSegmenter, views: list[LabelledView]) -> list[np.
 
 def recall(views: list[LabelledView], labels: list[np.ndarray], true: int, *names: str) -> float:
     there = np.concatenate([v.classes[v.frame.depth_m > 0] for v in views]) == true
-    found = np.concatenate(
-        [ids[v.frame.depth_m > 0] for v, ids in zip(views, labels, strict=True)]
-    )
+    found = np.concatenate([ids[v.frame.depth_m > 0] for v, ids in zip(views, labels, strict=True)])
     return float(np.isin(found[there], identifiers(*names)).mean())
 
 
@@ -115,7 +113,7 @@ def test_weights_of_something_else_are_refused(tmp_path, tensors, classes, named
     with pytest.raises(FormatError, match=named):
         load_weights(path)
     path.write_bytes(b"none")
-    with pytest.raises(FormatError, match="w.safetensors: not a file of weights"):
+    with pytest.raises(FormatError, match=r"w\.safetensors: not a file of weights"):
         load_weights(path)
 
 
