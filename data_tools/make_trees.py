@@ -14,7 +14,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics import trees as bundled
-from toolkit.semantics.segmenters.indoor.classes import INDOOR_CLASSES, INDOOR_TREE
+from toolkit.semantics.segmenters.indoor.classes import (
+    INDOOR_CLASSES,
+    INDOOR_TREE,
+    OTHER_FURNITURE,
+)
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
@@ -56,7 +60,8 @@ def _indoor() -> Taxonomy:
         kind: {group: {name: {} for name in names} for group, names in groups.items()}
         for kind, groups in INDOOR_TREE.items()
     }
-    return Taxonomy(tree, ("kind", "group", "class"), INDOOR_CLASSES, "indoor")
+    classes = (*INDOOR_CLASSES, OTHER_FURNITURE)
+    return Taxonomy(tree, ("kind", "group", "class"), classes, "indoor")
 
 
 def _names(text: str) -> list[str]:

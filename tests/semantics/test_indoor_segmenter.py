@@ -18,9 +18,10 @@ from toolkit.semantics.segmenters.indoor.classes import (
     INDOOR_CLASSES,
     INDOOR_GROUPS,
     INDOOR_KINDS,
+    OTHER_FURNITURE,
 )
 from toolkit.semantics.segmenters.indoor.network import IndoorNetwork, IndoorWeights, load_weights
-from toolkit.semantics.segmenters.indoor.segmenter import IndoorSegmenter
+from toolkit.semantics.segmenters.indoor.segmenter import IndoorSegmenter, _sure_classes
 from toolkit.semantics.segmenters.indoor.votes import VOXEL_M, ClassVotes
 from toolkit.semantics.trees import shipped_taxonomy
 
@@ -44,7 +45,7 @@ def recall(views: list[LabelledView], labels: list[np.ndarray], true: int, *name
 
 def test_groups_and_kinds_are_those_of_the_bundled_tree():
     tree = shipped_taxonomy("indoor")
-    assert tree.classes == INDOOR_CLASSES
+    assert tree.classes == (*INDOOR_CLASSES, OTHER_FURNITURE)
     for numbers, level in ((INDOOR_KINDS, 0), (INDOOR_GROUPS, 1)):
         names = [tree.ancestor(k + 1, level).name for k in range(len(INDOOR_CLASSES))]
         same = np.equal.outer(names, names)
@@ -197,3 +198,17 @@ def test_a_restored_segmenter_labels_the_same():
     for v, expected in zip(views[2:], whole[2:], strict=True):
         found = second.segment(v.frame, T_map_world @ v.T_world_camera)
         assert np.array_equal(found, expected)
+
+
+def test_a_class_is_named_as_far_as_it_is_sure():
+    def named(**p: float) -> str:
+        rest = (1.0 - sum(p.values())) / (len(INDOOR_CLASSES) - len(p))
+        values = np.array([[p.get(name, rest) for name in INDOOR_CLASSES]], np.float32)
+        (found,) = _sure_classes(np.log(values))
+        return "void" if found == 0 else (*INDOOR_CLASSES, OTHER_FURNITURE)[found - 1]
+
+    assert named(table=0.9) == "table"
+    # Sure of the group: its likelier class.
+    assert named(table=0.3, desk=0.25, wall=0.35) == "table"
+    assert named(bed=0.3, sofa=0.3, table=0.3) == OTHER_FURNITURE
+    assert named(wall=0.45, bed=0.3, thing=0.25) == "void"

@@ -1,4 +1,4 @@
-"""The classes of the indoor network, in the order of its outputs."""
+"""The classes of the indoor network, in the order of its outputs, and their tree."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ INDOOR_TREE: dict[str, dict[str, tuple[str, ...]]] = {
         "bed": (),
         "storage": ("cabinet", "shelf"),
         "fixtures": ("appliance", "sanitary"),
+        "other furniture": (),
     },
     "object": {
         "fittings": ("lamp", "screen", "picture"),
@@ -28,11 +29,15 @@ INDOOR_TREE: dict[str, dict[str, tuple[str, ...]]] = {
     },
 }
 
+# Furniture of which only that is sure; the network does not know it.
+OTHER_FURNITURE = "other furniture"
+
 _PATHS: tuple[tuple[int, str, str], ...] = tuple(
     (number, group, name)
     for number, groups in enumerate(INDOOR_TREE.values())
     for group, names in groups.items()
     for name in names or (group,)
+    if group != OTHER_FURNITURE
 )
 INDOOR_CLASSES: tuple[str, ...] = tuple(name for _, _, name in _PATHS)
 # Number of the kind and of the group of each class.

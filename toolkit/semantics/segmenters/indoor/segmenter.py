@@ -17,9 +17,14 @@ from toolkit.semantics.options import GeometricOptions
 from toolkit.semantics.segmenters.geometric.labelling import label_cells, label_pixels
 from toolkit.semantics.segmenters.geometric.levelled import LevelledGrid
 from toolkit.semantics.segmenters.geometric.room import Room
-from toolkit.semantics.segmenters.geometric.surface_grid import surface_grid
+from toolkit.semantics.segmenters.geometric.surface_grid import SurfaceGrid, surface_grid
 from toolkit.semantics.segmenters.indoor.channels import indoor_channels
-from toolkit.semantics.segmenters.indoor.classes import INDOOR_CLASSES, INDOOR_KINDS
+from toolkit.semantics.segmenters.indoor.classes import (
+    INDOOR_CLASSES,
+    INDOOR_GROUPS,
+    INDOOR_KINDS,
+    OTHER_FURNITURE,
+)
 from toolkit.semantics.segmenters.indoor.network import IndoorWeights, load_weights
 from toolkit.semantics.segmenters.indoor.votes import ClassVotes
 
@@ -27,12 +32,16 @@ Values = NDArray[np.float32]
 
 # Maximum number of cells across the image.
 _COLUMNS = 160
-# Probability of the kind (structure, furniture, object) below which a cell is void.
-_SURE = 0.5
+# Probability of the kind (structure, furniture, object) below which a cell is void, and of the
+# group below which furniture is only that.
+_SURE_KIND, _SURE_GROUP = 0.5, 0.4
+_FURNITURE = int(INDOOR_KINDS[INDOOR_CLASSES.index("table")])
 
 
 class IndoorSegmenter:
     """Labels floor, walls, doors, furniture and objects (`INDOOR_CLASSES`) from depth alone.
+
+    Furniture that may be several things is `OTHER_FURNITURE`.
 
     A network labels each view. Its probabilities are joined with the structure of the room that
     the geometric segmenter finds, then with those of earlier views in voxels of the map frame. All
@@ -54,7 +63,8 @@ class IndoorSegmenter:
         side: ImageSide = "top",
         weights: Path | None = None,
     ) -> None:
-        self.class_names: Mapping[int, str] = dict(enumerate(INDOOR_CLASSES, start=1))
+        names = (*INDOOR_CLASSES, OTHER_FURNITURE)
+        self.class_names: Mapping[int, str] = dict(enumerate(names, start=1))
         self.place_divergence = 0.15
         self._options, self._side = options or GeometricOptions(), side
         self._weights = _shipped() if weights is None else load_weights(weights)
@@ -66,20 +76,29 @@ class IndoorSegmenter:
     def segment(
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:
-        """Class ids [H, W] from 1 in the order of `INDOOR_CLASSES`, 0 where they are unknown."""
+        """Class ids [H, W] from 1 in the order of `class_names`, 0 where they are unknown."""
+        grid, log_p = self.cells(frame, T_map_camera)
+        classes = np.zeros(grid.valid.shape, np.uint8)
+        classes[grid.valid] = _sure_classes(log_p)
+        return label_pixels(classes, grid, frame.depth_m, frame.camera)
+
+    def cells(
+        self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
+    ) -> tuple[SurfaceGrid, Values]:
+        """The cells of a frame, and log probabilities [N, C] of the classes of those with depth."""
         grid = surface_grid(frame.depth_m, frame.camera, _COLUMNS)
         if not grid.oriented.any():
-            return np.zeros(frame.depth_m.shape, np.int32)
+            count = int(grid.valid.sum())
+            return grid, np.full((count, len(INDOOR_CLASSES)), -np.log(len(INDOOR_CLASSES)))
         room = self._room if T_map_camera is not None else self._new_room()
         pose = np.eye(4) if T_map_camera is None else np.asarray(T_map_camera, dtype=np.float64)
         view = room.update(grid, pose)
         log_p = view_log_probabilities(self._weights, view, room)[:, grid.valid].T
         if T_map_camera is not None:
             points = se3.transform_points(pose, grid.points[grid.valid].astype(np.float64))
-            log_p, _ = self._votes.add(points, log_p)
-        cells = np.zeros(grid.valid.shape, np.uint8)
-        cells[grid.valid] = _sure_classes(log_p)
-        return label_pixels(cells, grid, frame.depth_m, frame.camera)
+            sums, _ = self._votes.add(points, log_p)
+            log_p = sums - _log_sum(sums, axis=1)
+        return grid, log_p
 
     def state(self) -> dict[str, NDArray]:
         """Return the structure of the room and the votes."""
@@ -104,13 +123,27 @@ def view_log_probabilities(weights: IndoorWeights, view: LevelledGrid, room: Roo
 
 
 def _sure_classes(log_p: Values) -> NDArray[np.uint8]:
-    """Class ids [N] of log probabilities [N, C], 0 where the kind is in doubt."""
-    p = np.exp(log_p - _log_sum(log_p, axis=1))
-    kinds = np.stack([p[:, k == INDOOR_KINDS].sum(axis=1) for k in np.unique(INDOOR_KINDS)], axis=1)
+    """Class ids [N] of log probabilities [N, C]: of the likeliest kind, group and class.
+
+    0 where the kind is in doubt, `OTHER_FURNITURE` where only furniture is sure.
+    """
+    p = np.exp(log_p)
+    kinds, groups = p @ _KIND_MEMBERS, p @ _GROUP_MEMBERS
     kind = kinds.argmax(axis=1)
-    inside = np.where(INDOOR_KINDS[None] == kind[:, None], p, -1.0)
-    sure = kinds.max(axis=1) >= _SURE
-    return np.where(sure, inside.argmax(axis=1) + 1, 0).astype(np.uint8)
+    group = np.where(kind[:, None] == _KIND_OF_GROUP, groups, -1.0).argmax(axis=1)
+    found = np.where(group[:, None] == INDOOR_GROUPS, p, -1.0).argmax(axis=1) + 1
+    unsure = (kind == _FURNITURE) & (groups.max(axis=1) < _SURE_GROUP)
+    found[unsure] = len(INDOOR_CLASSES) + 1
+    return np.where(kinds.max(axis=1) >= _SURE_KIND, found, 0).astype(np.uint8)
+
+
+def _members(numbers: NDArray[np.int64]) -> Values:
+    """Which classes [C, K] belong to each of K groups."""
+    return np.eye(numbers.max() + 1, dtype=np.float32)[numbers]
+
+
+_KIND_MEMBERS, _GROUP_MEMBERS = _members(INDOOR_KINDS), _members(INDOOR_GROUPS)
+_KIND_OF_GROUP = np.array([INDOOR_KINDS[k == INDOOR_GROUPS][0] for k in np.unique(INDOOR_GROUPS)])
 
 
 def _log_sum(log_p: Values, axis: int) -> Values:
