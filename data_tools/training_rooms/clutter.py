@@ -66,13 +66,12 @@ def table_lamp(rng: Generator) -> Piece:
 
 def potted(rng: Generator, height: float) -> Piece:
     """A plant: a pot and leaves of random attitude."""
-    pot_height = height * rng.uniform(0.15, 0.4)
+    pot_height = height * rng.uniform(0.15, 0.55)
     radius = height * rng.uniform(0.1, 0.25)
-    pot = lathe(
-        "plant",
-        [(0.0, 0.0), (radius * 0.75, 0.0), (radius, pot_height), (0.0, pot_height * 0.9)],
-        (0.0, 0.0, 0.0),
-    )
+    profile = [(0.0, 0.0), (rng.uniform(0.6, 1.0) * radius, 0.0), (radius, pot_height)]
+    # Four sides make it a square one.
+    sides = 4 if rng.random() < 0.4 else 12
+    pot = lathe("plant", [*profile, (0.0, pot_height * 0.9)], (0.0, 0.0, 0.0), sides)
     piece = [pot, cylinder("plant", 0.01 + 0.01 * height, height * 0.6)]
     spread = height * rng.uniform(0.2, 0.45)
     long, wide = height * rng.uniform(0.12, 0.3), height * rng.uniform(0.03, 0.12)

@@ -17,6 +17,7 @@ from data_tools.training_rooms.solids import (
     box,
     cylinder,
     extent,
+    lathe,
     placed,
     rounded,
     sheet,
@@ -510,7 +511,7 @@ def plant(rng: Generator) -> Piece:
 
 def on_floor(rng: Generator) -> Piece:
     """Boxes, bags, bins or a heap of things on the floor."""
-    kind = rng.choice(["boxes", "bin", "bag", "things"])
+    kind = rng.choice(["boxes", "bin", "bin", "bag", "things"])
     if kind == "boxes":
         piece: Piece = []
         z = 0.0
@@ -520,8 +521,13 @@ def on_floor(rng: Generator) -> Piece:
             z += size[2]
         return piece
     if kind == "bin":
-        radius, height = rng.uniform(0.12, 0.22), rng.uniform(0.25, 0.65)
-        return [cylinder("thing", radius, height, (0.0, -radius, 0.0))]
+        # Open at the top; four sides make it a square one.
+        radius, height = rng.uniform(0.12, 0.28), rng.uniform(0.25, 0.7)
+        profile = [(0.0, 0.0), (rng.uniform(0.6, 1.0) * radius, 0.0), (radius, height)]
+        bins = [lathe("thing", profile, (0.0, -radius, 0.0), int(rng.choice([4, 12])))]
+        if chance(rng, 0.4):
+            bins += placed(bins, (2.1 * radius, 0.0, 0.0))
+        return bins
     if kind == "bag":
         size = tuple(rng.uniform([0.25, 0.15, 0.25], [0.5, 0.35, 0.5]))
         return [rounded("thing", size, (0.0, -0.25, 0.0), rng.uniform(2, 5))]

@@ -28,9 +28,9 @@ def test_every_family_shows_what_it_is_made_of(family):
     rooms = [random_room(rng, family) for _ in range(3)]
     names = {solid.name for room in rooms for solid in room.piece}
     assert {"floor", "wall", "ceiling"} < names <= set(INDOOR_CLASSES)
-    view = next(training_views(rng, CLASS_IDS, (80, 60), 1, family))
-    assert view.labels.shape == view.depth_m.shape == (60, 80)
-    assert len(np.unique(view.labels)) > 2
+    views = list(islice(training_views(rng, CLASS_IDS, (80, 60), 3, family), 6))
+    assert all(view.labels.shape == view.depth_m.shape == (60, 80) for view in views)
+    assert len(np.unique(np.stack([view.labels for view in views]))) > 4
 
 
 def test_furniture_stays_inside_the_walls():
@@ -105,8 +105,8 @@ def test_training_learns_one_batch():
     training = Training(100, 0, rate=3e-3)
     channels, labels = batch(np.random.default_rng(0), 2)
     channels, labels = channels[..., :48, :48], labels[..., :48, :48]
-    losses = [training.learn(channels, labels) for _ in range(15)]
-    assert losses[-1] < 0.85 * losses[0]
+    losses = [training.learn(channels, labels) for _ in range(20)]
+    assert losses[-1] < 0.9 * losses[0]
 
 
 def test_a_training_continues_from_its_state(tmp_path):
