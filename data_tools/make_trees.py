@@ -14,6 +14,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_NAMES
 from toolkit.semantics import trees as bundled
+from toolkit.semantics.segmenters.indoor.classes import (
+    INDOOR_CLASSES,
+    INDOOR_TREE,
+    OTHER_FURNITURE,
+)
 from toolkit.semantics.taxonomy import Taxonomy
 from toolkit.semantics.taxonomy_building.builder import BuildOptions, build_taxonomy
 from toolkit.semantics.taxonomy_building.rules import RuleGrouper
@@ -46,7 +51,17 @@ def trees() -> list[Taxonomy]:
         build("nyu40", _names(NYU40)),
         build("scannet20", _names(SCANNET20)),
         build("geometric", _names(GEOMETRIC), function_only),
+        _indoor(),
     ]
+
+
+def _indoor() -> Taxonomy:
+    tree: dict[str, dict[str, dict[str, dict[str, str]]]] = {
+        kind: {group: {name: {} for name in names} for group, names in groups.items()}
+        for kind, groups in INDOOR_TREE.items()
+    }
+    classes = (*INDOOR_CLASSES, OTHER_FURNITURE)
+    return Taxonomy(tree, ("kind", "group", "class"), classes, "indoor")
 
 
 def _names(text: str) -> list[str]:

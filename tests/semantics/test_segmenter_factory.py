@@ -15,6 +15,8 @@ from toolkit.semantics.options import SegmenterOptions
 from toolkit.semantics.segmenters.dataset_labels import RecordedLabels
 from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegmenter
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder
+from toolkit.semantics.segmenters.indoor.classes import INDOOR_CLASSES
+from toolkit.semantics.segmenters.indoor.segmenter import IndoorSegmenter
 from toolkit.semantics.segmenters.segmenter import Unlabelled
 
 
@@ -22,14 +24,20 @@ def settings(**values) -> SegmenterOptions:
     return validated(SegmenterOptions, values)
 
 
-def test_auto_takes_the_data_sets_labels_or_else_geometry():
+def test_auto_takes_the_data_sets_labels_or_else_the_network_for_rooms():
     recorded = build_segmenter(settings(), {1: "wall"})
     assert isinstance(recorded, RecordedLabels)
     assert recorded.class_names == {1: "wall"}
     for names in (None, {}):
-        geometric = build_segmenter(settings(), names)
-        assert isinstance(geometric, GeometricSegmenter)
-        assert geometric.class_names == CLASS_NAMES
+        indoor = build_segmenter(settings(), names)
+        assert isinstance(indoor, IndoorSegmenter)
+        assert tuple(indoor.class_names.values())[:-1] == INDOOR_CLASSES
+
+
+def test_geometry_alone_is_a_choice():
+    geometric = build_segmenter(settings(kind="geometric"), {1: "wall"})
+    assert isinstance(geometric, GeometricSegmenter)
+    assert geometric.class_names == CLASS_NAMES
 
 
 def test_none_is_a_segmenter_without_classes():

@@ -20,7 +20,7 @@ from toolkit.semantics.trees import (
     taxonomy_named,
 )
 
-SIZES = {"geometric": 5, "nyu40": 40, "replica": 101, "scannet20": 20}
+SIZES = {"geometric": 5, "indoor": 23, "nyu40": 40, "replica": 101, "scannet20": 20}
 
 
 def test_all_trees_are_there():
@@ -43,7 +43,7 @@ def test_a_real_recording_s_ids_are_the_tree_s(real_data):
 
 
 def test_an_unknown_name_is_answered_with_those_there_are():
-    with pytest.raises(FormatError, match="choose geometric, nyu40, replica, scannet20"):
+    with pytest.raises(FormatError, match="choose geometric, indoor, nyu40, replica, scannet20"):
         shipped_taxonomy("kitti")
     with pytest.raises(FormatError, match="choose geometric"):
         taxonomy_named("../replica")
@@ -64,6 +64,7 @@ def test_a_name_or_a_file_gives_a_tree(tmp_path):
         (["void", "Wall", "shower_curtain"], "scannet20"),
         (["wall", "whiteboard"], "nyu40"),
         (["tv stand", "base cabinet"], "replica"),
+        (["wall", "blinds", "thing"], "indoor"),
         (["wall", "dragon"], None),
         ([], None),
     ],

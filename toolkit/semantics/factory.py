@@ -19,6 +19,7 @@ from toolkit.semantics.palette import Palette
 from toolkit.semantics.segmenters.dataset_labels import RecordedLabels
 from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder
+from toolkit.semantics.segmenters.indoor.segmenter import IndoorSegmenter
 from toolkit.semantics.segmenters.segmenter import Segmenter, Unlabelled
 from toolkit.semantics.taxonomy import Taxonomy
 
@@ -68,7 +69,7 @@ def build_segmenter(
     """
     kind = options.kind
     if kind == "auto":
-        kind = "recorded" if label_names else "geometric"
+        kind = "recorded" if label_names else "indoor"
     if kind == "recorded":
         if not label_names:
             raise DatasetError(
@@ -79,14 +80,16 @@ def build_segmenter(
         return _label_images(options.images, stems)
     if kind == "model":
         return _model(options.model)
-    if kind == "geometric":
+    if kind in ("geometric", "indoor"):
         lowest_m, highest_m = options.geometric.camera_height_m
         if lowest_m >= highest_m:
             raise SettingsError(
                 "segmenter.geometric.camera_height_m must be a minimum and a larger maximum, "
                 f"got {lowest_m:g} {highest_m:g}"
             )
-        return GeometricSegmenter(options.geometric, side)
+        if kind == "geometric":
+            return GeometricSegmenter(options.geometric, side)
+        return IndoorSegmenter(options.geometric, side)
     return Unlabelled()
 
 

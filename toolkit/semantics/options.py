@@ -59,7 +59,7 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class GeometricOptions:
-    """Labels of floor, wall, ceiling, surface and object from depth alone."""
+    """Labels from depth alone (indoor and geometric)."""
 
     camera_height_m: tuple[PositiveFloat, PositiveFloat] = (0.5, 2.5)
     """Minimum and maximum height of the camera above the floor, in metres. Higher level surfaces
@@ -70,9 +70,11 @@ class GeometricOptions:
 class SegmenterOptions:
     """Source of the labels."""
 
-    kind: Literal["auto", "recorded", "images", "geometric", "model", "none"] = "auto"
-    """Source of the labels: the dataset (recorded), label images (images), depth alone (geometric),
-    a segmentation model (model), none, or recorded if available and else geometric (auto)."""
+    kind: Literal["auto", "recorded", "images", "indoor", "geometric", "model", "none"] = "auto"
+    """Source of the labels: the dataset (recorded), label images (images), 22 classes from depth
+    alone by the bundled network (indoor), floor, walls, ceiling, surfaces and objects from depth
+    alone (geometric), a segmentation model (model), none, or recorded if available and else indoor
+    (auto)."""
     images: LabelImageOptions = LabelImageOptions()
     model: ModelOptions = ModelOptions()
     geometric: GeometricOptions = GeometricOptions()

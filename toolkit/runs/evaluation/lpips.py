@@ -16,10 +16,12 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional
 
-from toolkit.base.errors import DependencyError, FormatError
+from toolkit.base.errors import FormatError
 from toolkit.io.guarded.content import DamagedError, check_regular
 
 # The output of AlexNet's second pooling layer is empty for smaller images.
@@ -96,7 +98,6 @@ class Lpips:
         """Read weights from .safetensors files or state dicts written by `torch.save`.
 
         Raises:
-            DependencyError: a .safetensors file is given and safetensors is not installed.
             FormatError: a file is missing, damaged or contains other objects than tensors, or
                 no file contains one of the parameters.
         """
@@ -175,16 +176,8 @@ def _read(path: Path) -> Mapping[str, Tensor]:
 
 def _read_safetensors(path: Path) -> Mapping[str, Tensor]:
     try:
-        import safetensors
-        import safetensors.torch
-    except ImportError as error:
-        raise DependencyError(
-            f"safetensors cannot be loaded ({error}); install it with: pip install "
-            "'semsplat[semantics]'"
-        ) from error
-    try:
-        return safetensors.torch.load_file(path)
-    except (OSError, safetensors.SafetensorError) as error:
+        return load_file(path)
+    except (OSError, SafetensorError) as error:
         raise FormatError(
             f"{path} cannot be read as safetensors ({_first_line(error)}); {_REMEDY}"
         ) from error

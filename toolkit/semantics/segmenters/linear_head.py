@@ -6,13 +6,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
 
-from toolkit.base.errors import DependencyError, FormatError
+from toolkit.base.errors import FormatError
 from toolkit.base.frame import Frame
 from toolkit.io.atomic import replacing
 from toolkit.io.guarded.content import check_regular
@@ -59,10 +60,8 @@ class LinearHead:
         """Write a safetensors file with the names and the encoder in its header.
 
         Raises:
-            DependencyError: safetensors is missing.
             RunFolderError: the file cannot be written.
         """
-        save_file = _safetensors().save_file
         header = {
             "format": _FORMAT,
             "classes": json.dumps(self.class_names),
@@ -77,17 +76,13 @@ class LinearHead:
         """Read a file written by `save`.
 
         Raises:
-            DependencyError: safetensors is missing.
             FormatError: the file is missing, damaged, or not a head.
         """
-        torch_files = _safetensors()
-        from safetensors import SafetensorError
-
         if not path.is_file():
             raise FormatError(f"{path} does not exist; train a head with: semsplat train-head")
         try:
             check_regular(path, _MAX_BYTES)
-            with torch_files.safe_open(path, framework="pt") as file:
+            with safe_open(path, framework="pt") as file:
                 header = file.metadata() or {}
                 if header.get("format") != _FORMAT:
                     raise ValueError(f"the format is {header.get('format')!r}, not {_FORMAT!r}")
@@ -147,14 +142,3 @@ class HeadSegmenter:
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
         """Accept an earlier `state`, which is empty."""
-
-
-def _safetensors() -> ModuleType:
-    try:
-        import safetensors.torch
-    except ImportError as error:
-        raise DependencyError(
-            f"safetensors cannot be loaded ({error}); fix it with: pip install "
-            "'semsplat[semantics]'"
-        ) from error
-    return safetensors.torch

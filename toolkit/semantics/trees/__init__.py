@@ -18,7 +18,8 @@ def shipped_names() -> tuple[str, ...]:
 
 
 def shipped_taxonomy(name: str) -> Taxonomy:
-    """Load a shipped tree: "replica" (also for synthetic rooms), "nyu40", "scannet20", "geometric".
+    """Load a shipped tree: "replica" (also for synthetic rooms), "nyu40", "scannet20", "indoor" or
+    "geometric".
 
     The class ids are those of the dataset.
 
