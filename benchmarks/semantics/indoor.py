@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.shared.recordings import opened
 from benchmarks.shared.runner import Page
-from benchmarks.shared.tables import Metrics, Rows, Table, Target, part_table, targets_of
+from benchmarks.shared.tables import Metrics, Rows, Table, Target, table_of, targets_of
 from data_tools.training_rooms.rooms import FAMILIES, random_room
 from data_tools.training_rooms.samples import CLASS_IDS
 from data_tools.training_rooms.views import RenderedRoom
@@ -185,14 +185,20 @@ def tables(rows: Rows) -> list[Table]:
     """What is right, by room and by class."""
     recalls = tuple(f"recall_{name}_percent" for name in _RECALLS)
     return [
-        part_table("unseen rooms", _COLUMNS, rows, "Unseen rooms of each family, all views"),
-        part_table("office0", (*_COLUMNS, "view_ms"), rows, "office0 of Replica"),
-        part_table("office0", recalls, rows, "Recall at office0"),
+        _part(rows, "unseen rooms", _COLUMNS, "Unseen rooms of each family, all views"),
+        _part(rows, "office0", (*_COLUMNS, "view_ms"), "office0 of Replica"),
+        _part(rows, "office0", recalls, "Recall at office0"),
         *(
-            part_table(name, _COLUMNS, rows, f"`make-room`, {name}: another style of rooms")
+            _part(rows, name, _COLUMNS, f"`make-room`, {name}: another style of rooms")
             for name in _SYNTHETIC
         ),
     ]
+
+
+def _part(rows: Rows, part: str, columns: tuple[str, ...], title: str) -> Table:
+    prefix = f"{part}: "
+    chosen = {n.removeprefix(prefix): runs for n, runs in rows.items() if n.startswith(prefix)}
+    return table_of(columns, chosen, title=title)
 
 
 def targets(rows: Rows) -> list[Target]:
