@@ -203,12 +203,14 @@ def test_without_semantics_nothing_of_them_is_left(labelled_recording, tmp_path)
     assert read_splats(out / "map.ply").labels is None
 
 
-def test_without_labels_depth_gives_names(labelled_recording, tmp_path):
+@pytest.mark.parametrize("kind", ["geometric", "indoor"])
+def test_without_labels_depth_gives_names(labelled_recording, tmp_path, kind):
     bare = shutil.copytree(labelled_recording, tmp_path / "bare")
     shutil.rmtree(bare / "labels")
     out = tmp_path / "run"
-    assert main(arguments(bare, out)) == 0
-    assert Taxonomy.load(out / "taxonomy.yaml") == shipped_taxonomy("indoor")
+    words = [] if kind == "geometric" else ["--segmenter.kind", kind]
+    assert main(arguments(bare, out, *words)) == 0
+    assert Taxonomy.load(out / "taxonomy.yaml") == shipped_taxonomy(kind)
     names = Taxonomy.load(out / "taxonomy.yaml").classes
     found = {names[i - 1] for i in np.unique(read_splats(out / "map.ply").labels.label) if i}
     assert {"floor", "wall"} <= found

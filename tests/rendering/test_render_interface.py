@@ -152,7 +152,7 @@ def test_reference_is_the_default_without_kernels(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(loading, "available_instruction_sets", list)
     assert native.kernels() is None
     assert backend("auto").name == "reference"
-    with pytest.raises(DependencyError, match="install a C\\+\\+ compiler"):
+    with pytest.raises(DependencyError, match="native kernels are not built"):
         backend("native")
     scene = scene_at_pixels([(4, 3)], skewed_camera(9, 7))
     output = render(scene.cloud, scene.camera, scene.T_camera_map)

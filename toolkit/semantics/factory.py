@@ -69,7 +69,7 @@ def build_segmenter(
     """
     kind = options.kind
     if kind == "auto":
-        kind = "recorded" if label_names else "indoor"
+        kind = "recorded" if label_names else "geometric"
     if kind == "recorded":
         if not label_names:
             raise DatasetError(

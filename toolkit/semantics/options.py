@@ -71,10 +71,9 @@ class SegmenterOptions:
     """Source of the labels."""
 
     kind: Literal["auto", "recorded", "images", "indoor", "geometric", "model", "none"] = "auto"
-    """Source of the labels: the dataset (recorded), label images (images), 22 classes from depth
-    alone by the bundled network (indoor), floor, walls, ceiling, surfaces and objects from depth
-    alone (geometric), a segmentation model (model), none, or recorded if available and else indoor
-    (auto)."""
+    """Source of the labels: the dataset (recorded), label images (images), depth by the bundled
+    network (indoor) or by planes alone (geometric), a segmentation model (model), none, or recorded
+    if available and else geometric (auto)."""
     images: LabelImageOptions = LabelImageOptions()
     model: ModelOptions = ModelOptions()
     geometric: GeometricOptions = GeometricOptions()

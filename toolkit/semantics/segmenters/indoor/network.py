@@ -129,8 +129,10 @@ def load_weights(path: Path) -> IndoorWeights:
     if classes != INDOOR_CLASSES:
         raise FormatError(f"{path}: the weights are of other classes; train them again")
     structure = tensors.pop("structure").numpy()
-    network = IndoorNetwork(len(INDOOR_CLASSES))
-    missing, surplus = network.load_state_dict(tensors, strict=False)
+    # Without random weights, which would advance the generator of the process.
+    with torch.device("meta"):
+        network = IndoorNetwork(len(INDOOR_CLASSES))
+    missing, surplus = network.load_state_dict(tensors, strict=False, assign=True)
     if surplus or any(not name.endswith("num_batches_tracked") for name in missing):
         raise FormatError(f"{path}: the weights are of another network; train them again")
     merged = _merged(network.eval()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -68,7 +68,7 @@ class IndoorSegmenter:
     ) -> None:
         names = (*INDOOR_CLASSES, OTHER_FURNITURE)
         self.class_names: Mapping[int, str] = dict(enumerate(names, start=1))
-        self.place_divergence = 0.15
+        self.place_divergence = 0.4
         self._options, self._side = options or GeometricOptions(), side
         self._weights = _shipped() if weights is None else load_weights(weights)
         self._room, self._votes = self._new_room(), ClassVotes(len(INDOOR_CLASSES))
