@@ -71,9 +71,8 @@ class SegmenterOptions:
     """Source of the labels."""
 
     kind: Literal["auto", "recorded", "images", "indoor", "geometric", "model", "none"] = "auto"
-    """Source of the labels: the dataset (recorded), label images (images), depth by the bundled
-    network (indoor) or by planes alone (geometric), a segmentation model (model), none, or recorded
-    if available and else geometric (auto)."""
+    """Source of labels: the dataset (recorded), images, depth by a network (indoor) or planes
+    (geometric), a model, none, or recorded if available, else geometric (auto)."""
     images: LabelImageOptions = LabelImageOptions()
     model: ModelOptions = ModelOptions()
     geometric: GeometricOptions = GeometricOptions()
