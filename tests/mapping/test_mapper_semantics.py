@@ -20,6 +20,7 @@ from toolkit.semantics.codes import binary_code, flat_code, one_hot_code
 from toolkit.semantics.decoder import NetworkDecoder
 from toolkit.semantics.options import NetworkOptions, SemanticLossWeights, SemanticsOptions
 from toolkit.semantics.taxonomy import Taxonomy
+from toolkit.slam.mapping.final_optimisation import step_count
 from toolkit.slam.mapping.options import MapperOptions
 from toolkit.slam.mapping.semantic_mapping import SemanticMapping, build_semantic_mapping
 from toolkit.splatting.losses.semantic import SemanticLoss
@@ -132,6 +133,31 @@ def test_votes_fit_a_gaussian_that_several_classes_show_through():
         shares = head.sigmoid() if code.heads.bits else head.softmax(0)
         expected = votes[0, first : first + width] / 400.0
         assert torch.allclose(shares, expected, atol=2e-3)
+
+
+def test_the_final_refinement_compares_labels_in_every_step(room, monkeypatch):
+    compared = []
+    compute = SemanticMapping.add_gradient
+
+    def noted(self, view, labels, progress, gradient):
+        compared.append(labels is not None)
+        return compute(self, view, labels, progress, gradient)
+
+    monkeypatch.setattr(SemanticMapping, "add_gradient", noted)
+    mapper = fed(mapper_with(), room, [0, 4])
+    assert compared.count(False) >= len(compared) // 2
+    compared.clear()
+    mapper.refine()
+    assert len(compared) == step_count(FEW, 2) and all(compared)
+
+
+@pytest.mark.parametrize(
+    ("keyframes", "steps"), [(0, 0), (1, 96), (10, 120), (40, 480), (100, 840), (1000, 6240)]
+)
+def test_submaps_of_few_keyframes_are_refined_longer(keyframes, steps):
+    assert step_count(MapperOptions(final_iterations=6), keyframes) == steps
+    spheres = MapperOptions(final_iterations=6, final_shape="spheres")
+    assert step_count(spheres, keyframes) == 6 * keyframes
 
 
 def test_geometry_does_not_hear_of_semantics(room):

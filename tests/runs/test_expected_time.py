@@ -15,7 +15,7 @@ from toolkit.slam.mapping.options import MapperOptions
 
 VGA = Camera(525.0, 525.0, 319.5, 239.5, 640, 480)
 QVGA = Camera(262.5, 262.5, 159.5, 119.5, 320, 240)
-SETTINGS = RunSettings(mapping=MapperOptions(final_iterations=10))
+SETTINGS = RunSettings(mapping=MapperOptions(final_iterations=10, final_shape="spheres"))
 
 
 class Run:

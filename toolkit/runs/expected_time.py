@@ -11,6 +11,7 @@ from toolkit.base.geometry.camera import Camera
 from toolkit.base.stages import Stage
 from toolkit.runs.evaluation.timing import StageRecorder
 from toolkit.runs.settings import RunSettings
+from toolkit.slam.mapping.final_optimisation import step_count
 
 _log = logging.getLogger(__name__)
 
@@ -85,10 +86,10 @@ class ExpectedTime:
     def _message(self) -> str:
         others = self._processed - 1
         frame_s = (self._clock() - self._begin_s - self._first_s) / others
-        refined_s = self._refined_keyframe_s() * self._keyframes / others
         count, resumed = len(self._frames), self._frames.start > 0
         # The refinement includes the keyframes before a resumed run.
-        total_s = self._first_s + frame_s * (count - 1) + refined_s * self._frames.stop
+        refined_s = self._refinement_s(self._keyframes * self._frames.stop // others)
+        total_s = self._first_s + frame_s * (count - 1) + refined_s
         text = (
             f"About {_duration(total_s)} expected for "
             f"{'the remaining ' if resumed else ''}{count:,} frames "
@@ -103,13 +104,13 @@ class ExpectedTime:
             text += f"; --image-size {width} {height} would take about a quarter of it"
         return f"{text}."
 
-    def _refined_keyframe_s(self) -> float:
-        """Expected time of the final refinement per keyframe."""
+    def _refinement_s(self, keyframes: int) -> float:
+        """Expected time of the final refinement of some keyframes."""
         mapping = self._settings.mapping
-        steps = mapping.final_iterations
+        steps = step_count(mapping, keyframes)
         if mapping.consensus.use and self._recorder.durations_ms.get(Stage.LABELLING):
             # Each vote on the labels takes about as long as a step.
-            steps += mapping.consensus.rounds + 1
+            steps += (mapping.consensus.rounds + 1) * keyframes
         taken = len(self._recorder.durations_ms.get(_STEP_STAGES[0], ()))
         total_ms = self._recorder.total_ms(*_STEP_STAGES)
         return 0.0 if total_ms is None or not taken else steps * total_ms / (1e3 * taken)

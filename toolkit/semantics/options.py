@@ -48,13 +48,14 @@ class LabelImageOptions:
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """A segmentation model in the format of transformers."""
+    """A segmentation model in the format of transformers, or a trained head."""
 
     folder: Path | None = None
-    """Local folder with config.json, the weights and the image processor; required for this
-    segmenter."""
+    """Local folder with config.json, the weights and the image processor; required unless there is
+    a head for the indoor network."""
     head: Path | None = None
-    """Head trained by `semsplat train-head`. The model is then used as an encoder."""
+    """Head trained by `semsplat train-head`. The model, by default the indoor network, is then used
+    as an encoder."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class SegmenterOptions:
 
     kind: Literal["auto", "recorded", "images", "indoor", "geometric", "model", "none"] = "auto"
     """Source of labels: the dataset (recorded), images, depth by a network (indoor) or planes
-    (geometric), a model, none, or recorded if available, else geometric (auto)."""
+    (geometric), a model, none, or recorded if available, else indoor (auto)."""
     images: LabelImageOptions = LabelImageOptions()
     model: ModelOptions = ModelOptions()
     geometric: GeometricOptions = GeometricOptions()
@@ -101,7 +102,8 @@ class SemanticLossWeights:
     GauSem-SLAM: 0.5). Its part within the levels of the tree has weight 1, and that across levels,
     computed by the network, 5 (Hier-SLAM++: omega 1 and 2)."""
     every: PositiveInt = 3
-    """Number of mapping iterations per iteration that includes the semantic loss."""
+    """Number of mapping iterations per iteration that includes the semantic loss. The final
+    refinement includes it in every iteration."""
     inter_from: NonNegativeInt = 15
     """First iteration of a mapping call with the loss across levels (Hier-SLAM++: eta), at the
     latest after a quarter of the call."""

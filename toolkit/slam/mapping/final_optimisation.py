@@ -25,13 +25,17 @@ _ELLIPSOIDS_START_RATE = 8.0
 # better in a room of 13 keyframes. Images of half the size in the first half of the steps save a
 # quarter of the time, but the depth of the HoloLens walk is 4 to 10 % worse.
 _ELLIPSOIDS_MIN_STEPS = 96
+# A submap of few keyframes gets twice the steps, a large one at most these more: 12 instead of 6
+# steps per keyframe of office0 (36 keyframes) and a room (74) give 1.1 dB, a tenth less error of
+# depth, and 0.3 points of mIoU of labels.
+_ELLIPSOIDS_MORE_STEPS = 240
 
 
 def step_count(options: MapperOptions, keyframes: int) -> int:
     """Number of optimisation steps of the refinement of a submap with some keyframes."""
     total = options.final_iterations * keyframes
     if total and options.final_shape == "ellipsoids":
-        return max(total, _ELLIPSOIDS_MIN_STEPS)
+        return max(total + min(total, _ELLIPSOIDS_MORE_STEPS), _ELLIPSOIDS_MIN_STEPS)
     return total
 
 
@@ -61,7 +65,7 @@ def refine(
     removed_steps = steps_before - optimiser.steps
     objective = Objective(
         adjust_poses=options.final_poses or options.bundle_adjustment,
-        compare_features=True,
+        complete=True,
     )
     total, surfaces = step_count(options, count), None
     if total:

@@ -271,7 +271,7 @@ class Mapper:
     ) -> tuple[float, GaussianGradients]:
         """Loss of the final refinement on a keyframe; see `MapOptimisation.gradients`."""
         loss, gradients, _ = self._optimisation.gradients(
-            gaussians, keyframe, progress, compare_features=True
+            gaussians, keyframe, progress, complete=True
         )
         return loss, gradients
 

@@ -104,12 +104,13 @@ class Objective:
 
     Attributes:
         adjust_poses: optimise the poses of keyframes too, except the first keyframe's.
-        compare_features: add the loss of image features.
+        complete: add the loss of image features, and that of labels in every step, not only in
+            those that are due.
         rate_factor: factor of the learning rates of the Gaussians.
     """
 
     adjust_poses: bool = False
-    compare_features: bool = False
+    complete: bool = False
     rate_factor: float = 1.0
 
 
@@ -148,7 +149,7 @@ class MapOptimisation:
             progress: number of this step and total number of steps of the call.
         """
         loss, gradients, with_features = self.gradients(
-            submap.gaussians, keyframe, progress, objective.compare_features
+            submap.gaussians, keyframe, progress, objective.complete
         )
         with self._recorder.timed(Stage.MAP_UPDATE):
             named = gradients.by_name()
@@ -166,24 +167,25 @@ class MapOptimisation:
         gaussians: GaussianCloud,
         keyframe: Keyframe,
         progress: tuple[int, int],
-        compare_features: bool = False,
+        complete: bool = False,
     ) -> tuple[float, GaussianGradients, bool]:
         """Compute the mapping loss of a keyframe at its pose, and its derivatives.
 
         Args:
             gaussians: in the frame of the keyframe's pose.
             progress: see `step`.
-            compare_features: add the loss of image features, if there is one.
+            complete: see `Objective`.
 
         Returns:
             The loss of the images, without that of labels; the derivatives; and whether the
             feature channels have one.
         """
-        feature = self._feature_loss if compare_features else None
+        feature = self._feature_loss if complete else None
         T_camera_map = se3.inverse(keyframe.T_map_camera)
         observed = self._observations.of(keyframe)
         rgb, depth_m, labels = keyframe.observed(observed)
-        compared = labels if self._semantics.is_due(progress[0]) else None
+        due = self._semantics.is_due(progress[0], complete)
+        compared = labels if due else None
         by_classes = feature is not None and feature.wants_semantics and labels is not None
         with self._recorder.timed(Stage.MAP_FORWARD):
             options = RenderOptions(features=compared is not None or by_classes)
