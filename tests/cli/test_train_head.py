@@ -11,12 +11,13 @@ import pytest
 
 from toolkit.base.frame import Frame
 from toolkit.base.geometry.camera import Camera
+from toolkit.datasets.registry import open_dataset
 from toolkit.datasets.synthetic_rooms.vocabulary import CLASS_IDS
 from toolkit.datasets.synthetic_rooms.writer import prepare_folder, write_sequence
+from toolkit.semantics.factory import build_segmenter
+from toolkit.semantics.options import ModelOptions, SegmenterOptions
 from toolkit.semantics.segmenters.linear_head import LinearHead
 from toolkit.tools.cli.main import main
-
-transformers = pytest.importorskip("transformers")
 
 CAMERA = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
 
@@ -53,6 +54,23 @@ def test_a_head_is_trained_measured_on_held_out_frames_and_written(
     accuracy = re.search(r"held-out accuracy +([\d.]+)", printed)
     assert float(accuracy.group(1)) > 0.9
     assert LinearHead.load(out).class_names == ("floor", "wall")
+
+
+def test_without_a_model_the_indoor_network_is_the_encoder(labelled, tmp_path, capsys, monkeypatch):
+    # Neither for training nor for use.
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    out = tmp_path / "head.safetensors"
+    data = ["--dataset.kind", "replica", "--dataset.path", str(labelled), "--hold-out", "3"]
+    assert main(["train-head", *data, "--out", str(out)]) == 0
+    accuracy = re.search(r"held-out accuracy +([\d.]+)", capsys.readouterr().out)
+    assert float(accuracy.group(1)) > 0.9
+    options = SegmenterOptions("model", model=ModelOptions(head=out))
+    segmenter = build_segmenter(options, None)
+    assert tuple(segmenter.class_names.values()) == ("floor", "wall")
+    frame = open_dataset("replica", labelled)[4]
+    found = segmenter.segment(frame)
+    assert set(np.unique(found)) == {0, 1, 2} or set(np.unique(found)) == {1, 2}
+    assert (found[frame.labels == CLASS_IDS["floor"]] != 2).all()
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_channels_without_depth_are_zero():
 
 @pytest.mark.parametrize("size", [(85, 150), (120, 160), (160, 90), (17, 16)])
 def test_the_network_labels_images_of_any_size(size):
-    weights = IndoorWeights(IndoorNetwork(4).eval(), np.zeros((6, 4), np.float32))
+    weights = IndoorWeights(IndoorNetwork(4).eval(), np.zeros((6, 4), np.float32), "")
     with torch.no_grad():
         log_p = weights.log_probabilities(torch.rand(COUNT, *size))
     assert log_p.shape == (4, *size)

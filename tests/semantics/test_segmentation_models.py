@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -194,11 +195,11 @@ def test_a_device_that_is_not_there_is_named(monkeypatch):
 
 def test_features_cover_the_whole_image_patch_by_patch(tiny_dinov2):
     encoder = PatchEncoder(tiny_dinov2, 64, "cpu")
-    assert encoder.features(coloured_frame(0).rgb).shape == (6, 8, 16)
+    assert encoder.features(coloured_frame(0)).shape == (6, 8, 16)
     large = PatchEncoder(tiny_dinov2, 128, "cpu")
-    assert large.features(coloured_frame(0).rgb).shape == (12, 16, 16)
+    assert large.features(coloured_frame(0)).shape == (12, 16, 16)
     small = PatchEncoder(tiny_dinov2, 32, "cpu")
-    assert small.features(coloured_frame(0).rgb).shape == (3, 4, 16)
+    assert small.features(coloured_frame(0)).shape == (3, 4, 16)
 
 
 def test_a_change_of_one_patch_shows_most_in_its_own_features(tiny_dinov2):
@@ -206,7 +207,9 @@ def test_a_change_of_one_patch_shows_most_in_its_own_features(tiny_dinov2):
     rgb = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
     changed = rgb.copy()
     changed[16:24, 40:48] = COLOURS[0]
-    difference = (encoder.features(changed) - encoder.features(rgb)).norm(dim=-1)
+    frame = coloured_frame(0)
+    before, after = (encoder.features(replace(frame, rgb=image)) for image in (rgb, changed))
+    difference = (after - before).norm(dim=-1)
     assert np.unravel_index(int(difference.argmax()), (6, 8)) == (2, 5)
 
 

@@ -24,20 +24,20 @@ def settings(**values) -> SegmenterOptions:
     return validated(SegmenterOptions, values)
 
 
-def test_auto_takes_the_data_sets_labels_or_else_geometry():
+def test_auto_takes_the_data_sets_labels_or_else_the_network_for_rooms():
     recorded = build_segmenter(settings(), {1: "wall"})
     assert isinstance(recorded, RecordedLabels)
     assert recorded.class_names == {1: "wall"}
     for names in (None, {}):
-        geometric = build_segmenter(settings(), names)
-        assert isinstance(geometric, GeometricSegmenter)
-        assert geometric.class_names == CLASS_NAMES
+        indoor = build_segmenter(settings(), names)
+        assert isinstance(indoor, IndoorSegmenter)
+        assert tuple(indoor.class_names.values())[:-1] == INDOOR_CLASSES
 
 
-def test_the_network_for_rooms_is_a_choice():
-    indoor = build_segmenter(settings(kind="indoor"), {1: "wall"})
-    assert isinstance(indoor, IndoorSegmenter)
-    assert tuple(indoor.class_names.values())[:-1] == INDOOR_CLASSES
+def test_geometry_is_a_choice():
+    geometric = build_segmenter(settings(kind="geometric"), {1: "wall"})
+    assert isinstance(geometric, GeometricSegmenter)
+    assert geometric.class_names == CLASS_NAMES
 
 
 def test_none_is_a_segmenter_without_classes():

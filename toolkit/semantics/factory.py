@@ -11,14 +11,15 @@ from toolkit.base.geometry.image_sides import ImageSide
 from toolkit.semantics.codes import ColourCode, SemanticCode, binary_code, flat_code, one_hot_code
 from toolkit.semantics.options import (
     CodeOptions,
+    GeometricOptions,
     LabelImageOptions,
-    ModelOptions,
     SegmenterOptions,
 )
 from toolkit.semantics.palette import Palette
 from toolkit.semantics.segmenters.dataset_labels import RecordedLabels
 from toolkit.semantics.segmenters.geometric import GeometricSegmenter
 from toolkit.semantics.segmenters.image_folder import LabelImageFolder
+from toolkit.semantics.segmenters.indoor.encoder import IndoorEncoder
 from toolkit.semantics.segmenters.indoor.segmenter import IndoorSegmenter
 from toolkit.semantics.segmenters.segmenter import Segmenter, Unlabelled
 from toolkit.semantics.taxonomy import Taxonomy
@@ -69,7 +70,7 @@ def build_segmenter(
     """
     kind = options.kind
     if kind == "auto":
-        kind = "recorded" if label_names else "geometric"
+        kind = "recorded" if label_names else "indoor"
     if kind == "recorded":
         if not label_names:
             raise DatasetError(
@@ -79,18 +80,21 @@ def build_segmenter(
     if kind == "images":
         return _label_images(options.images, stems)
     if kind == "model":
-        return _model(options.model)
-    if kind in ("geometric", "indoor"):
-        lowest_m, highest_m = options.geometric.camera_height_m
-        if lowest_m >= highest_m:
-            raise SettingsError(
-                "segmenter.geometric.camera_height_m must be a minimum and a larger maximum, "
-                f"got {lowest_m:g} {highest_m:g}"
-            )
-        if kind == "geometric":
-            return GeometricSegmenter(options.geometric, side)
-        return IndoorSegmenter(options.geometric, side)
-    return Unlabelled()
+        return _model(options, side)
+    if kind == "none":
+        return Unlabelled()
+    _check_heights(options.geometric)
+    of_depth = GeometricSegmenter if kind == "geometric" else IndoorSegmenter
+    return of_depth(options.geometric, side)
+
+
+def _check_heights(options: GeometricOptions) -> None:
+    lowest_m, highest_m = options.camera_height_m
+    if lowest_m >= highest_m:
+        raise SettingsError(
+            "segmenter.geometric.camera_height_m must be a minimum and a larger maximum, "
+            f"got {lowest_m:g} {highest_m:g}"
+        )
 
 
 def _label_images(options: LabelImageOptions, stems: Sequence[str] | None) -> Segmenter:
@@ -105,16 +109,22 @@ def _label_images(options: LabelImageOptions, stems: Sequence[str] | None) -> Se
     return LabelImageFolder(options.folder, stems, options.gaps)
 
 
-def _model(options: ModelOptions) -> Segmenter:
-    if options.folder is None:
-        raise SettingsError("--segmenter.kind model needs --segmenter.model.folder DIR")
+def _model(options: SegmenterOptions, side: ImageSide) -> Segmenter:
+    folder, file = options.model.folder, options.model.head
     # Imported on demand: torch and transformers take seconds to load.
     from toolkit.semantics.segmenters.linear_head import HeadSegmenter, LinearHead
     from toolkit.semantics.segmenters.patch_features import PatchEncoder
     from toolkit.semantics.segmenters.transformers_models import TransformersSegmenter
 
-    if options.head is None:
-        return TransformersSegmenter(options.folder, _MIN_CONFIDENCE)
-    head = LinearHead.load(options.head)
-    encoder = PatchEncoder(options.folder, head.longest_side)
-    return HeadSegmenter(encoder, head, _MIN_CONFIDENCE)
+    if file is not None:
+        head = LinearHead.load(file)
+        if folder is not None:
+            return HeadSegmenter(PatchEncoder(folder, head.longest_side), head, _MIN_CONFIDENCE)
+        _check_heights(options.geometric)
+        return HeadSegmenter(IndoorEncoder(options.geometric, side), head, _MIN_CONFIDENCE)
+    if folder is None:
+        raise SettingsError(
+            "--segmenter.kind model needs --segmenter.model.folder DIR, or --segmenter.model.head "
+            "FILE of a head that semsplat train-head has trained without --model"
+        )
+    return TransformersSegmenter(folder, _MIN_CONFIDENCE)

@@ -1,4 +1,4 @@
-"""Train a linear head on the patch features of labelled frames."""
+"""Train a linear head on the features of labelled frames."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from toolkit.base.errors import DatasetError
 from toolkit.base.frame import Frame
-from toolkit.semantics.segmenters.linear_head import HeadSegmenter, LinearHead
-from toolkit.semantics.segmenters.patch_features import PatchEncoder
+from toolkit.semantics.segmenters.linear_head import Encoder, HeadSegmenter, LinearHead
 from toolkit.semantics.segmenters.vocabulary import ClassVocabulary
 
 
@@ -27,7 +26,7 @@ class HeadTrainingOptions:
         decay: weight of the L2 regularisation.
     """
 
-    patches_per_frame: int = 400
+    patches_per_frame: int = 2000
     steps: int = 100
     decay: float = 1e-4
 
@@ -48,7 +47,7 @@ class HeadScore:
 
 
 def train_head(
-    encoder: PatchEncoder,
+    encoder: Encoder,
     frames: Iterable[Frame],
     names: Mapping[int, str],
     generator: np.random.Generator,
@@ -77,9 +76,9 @@ def train_head(
         if frame.labels is None:
             continue
         vocabulary.check(frame.labels, f"the label image of frame {frame.index}")
-        found = encoder.features(frame.rgb).cpu()
+        found = encoder.features(frame).cpu()
         fractions = _patch_labels(frame.labels, ids, found.shape[:2])
-        found, fractions = found.reshape(-1, encoder.channels), fractions.reshape(-1, len(ids))
+        found, fractions = found.flatten(0, 1), fractions.reshape(-1, len(ids))
         labelled = np.flatnonzero(fractions.sum(axis=1) > 0)
         chosen = generator.permutation(labelled)[: options.patches_per_frame]
         features.append(found[torch.from_numpy(chosen)])
@@ -94,7 +93,7 @@ def train_head(
 
 
 def score_head(
-    encoder: PatchEncoder, head: LinearHead, frames: Iterable[Frame], names: Mapping[int, str]
+    encoder: Encoder, head: LinearHead, frames: Iterable[Frame], names: Mapping[int, str]
 ) -> HeadScore:
     """Compare a head's labels with those of held-out frames.
 

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -18,11 +19,25 @@ from toolkit.base.frame import Frame
 from toolkit.io.atomic import replacing
 from toolkit.io.guarded.content import check_regular
 from toolkit.io.guarded.documents import parse_json
-from toolkit.semantics.segmenters.patch_features import PatchEncoder
 from toolkit.semantics.segmenters.transformers_models import confident_labels
 
 _FORMAT = "semsplat-linear-head-1"
 _MAX_BYTES = 2**30
+
+
+class Encoder(Protocol):
+    """Computes a feature vector for each patch of a frame."""
+
+    @property
+    def longest_side(self) -> int:
+        """Longest side of the input in pixels."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the weights; identifies the encoder that a head was trained on."""
+
+    def features(self, frame: Frame) -> torch.Tensor:
+        """Return the features [rows, columns, D] float32 of the patches of a frame."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +48,8 @@ class LinearHead:
         weights: [C, D] float32.
         bias: [C] float32.
         class_names: C names; the i-th (from 0) is that of class id i + 1.
-        encoder_digest: digest of the encoder (`PatchEncoder.digest`).
-        longest_side: image size of the encoder in pixels (`PatchEncoder.longest_side`).
+        encoder_digest: digest of the encoder (`Encoder.digest`).
+        longest_side: image size of the encoder in pixels (`Encoder.longest_side`).
     """
 
     weights: torch.Tensor
@@ -110,13 +125,12 @@ class HeadSegmenter:
         ValueError: the head was trained at another image size.
     """
 
-    def __init__(
-        self, encoder: PatchEncoder, head: LinearHead, min_confidence: float = 0.0
-    ) -> None:
+    def __init__(self, encoder: Encoder, head: LinearHead, min_confidence: float = 0.0) -> None:
         if head.encoder_digest != encoder.digest:
             raise FormatError(
-                "the head was trained on another encoder (model folder); set the folder of that "
-                "encoder, or train a head for this one with: semsplat train-head"
+                "the head was trained on another encoder (model folder, or version of the indoor "
+                "network); set the folder of that encoder, or train a head for this one with: "
+                "semsplat train-head"
             )
         if head.longest_side != encoder.longest_side:
             raise ValueError(
@@ -132,7 +146,7 @@ class HeadSegmenter:
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> NDArray[np.int32]:
         """Return class ids [H, W], 0 where the confidence is too low."""
-        logits = self._head.scores(self._encoder.features(frame.rgb)).permute(2, 0, 1)[None]
+        logits = self._head.scores(self._encoder.features(frame)).permute(2, 0, 1)[None]
         labels = confident_labels(logits, frame.depth_m.shape, self._min_confidence)
         return labels.to(torch.int32).cpu().numpy()
 

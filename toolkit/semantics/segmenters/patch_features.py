@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from toolkit.base.frame import Frame
 from toolkit.semantics.features.pretrained.vision_transformer import VisionTransformer
 
 
@@ -29,12 +29,11 @@ class PatchEncoder:
         """SHA-256 of the weights; identifies the encoder that a head was trained on."""
         return self._model.digest
 
-    def features(self, rgb: NDArray[np.float32]) -> torch.Tensor:
+    def features(self, frame: Frame) -> torch.Tensor:
         """Return the features [rows, columns, D] float32 of the patches of an image.
 
-        Args:
-            rgb: [H, W, 3] colours in [0, 1]; the image is scaled, not cropped.
+        The image is scaled, not cropped.
         """
-        image = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1)[None]
+        image = torch.from_numpy(np.ascontiguousarray(frame.rgb)).permute(2, 0, 1)[None]
         with torch.no_grad():
             return self._model.tokens(image).patches[0]

@@ -315,16 +315,17 @@ class LabelledData:
 
 @dataclass(frozen=True)
 class TrainHeadOptions:
-    """Train a linear head on the patch features of a vision transformer such as DINOv2.
+    """Train a linear head on the labels of some frames: classes of your own.
 
-    The head is for `--segmenter.kind model` with the same model folder.
+    The head is for `--segmenter.kind model` with the same encoder.
     """
 
     dataset: LabelledData
-    model: Path
-    """Local folder of the encoder, in the format of transformers."""
     out: Path
     """File of the head to write (.safetensors)."""
+    model: Path | None = None
+    """Local folder of a vision transformer such as DINOv2, in the format of transformers, as the
+    encoder. By default, the encoder is the indoor network, which sees depth, and colour."""
     every: PositiveInt = 1
     """Interval of the frames that are used: every n-th one."""
     hold_out: Annotated[int, Range(ge=2)] = 5
@@ -332,8 +333,8 @@ class TrainHeadOptions:
     image_size: ImageSize | None = None
     """Width and height in pixels to which images are resized. By default, they keep their size."""
     longest_side: Annotated[int, Range(ge=14)] = 518
-    """Length in pixels of the longer image side for the encoder."""
-    patches_per_frame: PositiveInt = 400
+    """Length in pixels of the longer image side for the encoder of --model."""
+    patches_per_frame: PositiveInt = 2000
     """Maximum number of patches per frame used for training."""
     seed: NonNegativeInt = 0
     """Seed of the selection of patches."""

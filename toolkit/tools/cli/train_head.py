@@ -12,6 +12,8 @@ from toolkit.base.frame import Frame
 from toolkit.datasets.base import Dataset
 from toolkit.datasets.registry import open_dataset
 from toolkit.semantics.segmenters.head_training import HeadTrainingOptions, score_head, train_head
+from toolkit.semantics.segmenters.indoor.encoder import IndoorEncoder
+from toolkit.semantics.segmenters.linear_head import Encoder
 from toolkit.semantics.segmenters.patch_features import PatchEncoder
 from toolkit.tools.cli.programs import TrainHeadOptions
 
@@ -37,7 +39,9 @@ def main(options: TrainHeadOptions) -> int:
             "--hold-out"
         )
     training_frames = [index for index in used if index not in set(held_out)]
-    encoder = PatchEncoder(options.model, options.longest_side, options.device)
+    encoder: Encoder = IndoorEncoder()
+    if options.model is not None:
+        encoder = PatchEncoder(options.model, options.longest_side, options.device)
     generator = np.random.default_rng(options.seed)
     training = HeadTrainingOptions(patches_per_frame=options.patches_per_frame)
     frames = _frames(dataset, training_frames, "training")

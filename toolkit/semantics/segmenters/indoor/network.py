@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import resources
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -46,17 +50,30 @@ class IndoorNetwork(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """Logits [B, classes, h, w] of channels [B, 8, h, w]; both sides multiples of 16."""
-        levels = [self.stem(image)]
-        for step in self.down:
-            levels.append(step(levels[-1]))
-        coarse = self.deep(levels.pop())
-        for step in reversed(self.up):
-            skipped = levels.pop()
-            grown = nn.functional.interpolate(coarse, skipped.shape[-2:], mode="bilinear")
-            coarse = step(torch.cat([skipped, grown], dim=1))
-        grown = nn.functional.interpolate(coarse, image.shape[-2:], mode="bilinear")
+        grown = _grown(self._levels(image)[-1], image)
         fine = self.fine(torch.cat([image, grown], dim=1))
         return torch.as_tensor(self.head(grown) + self.fine_head(fine))
+
+    def columns(self, image: Tensor) -> Tensor:
+        """What all levels know of each cell [B, 304, h, w], from which other classes are told."""
+        grown = [_grown(level, image) for level in self._levels(image)]
+        fine = self.fine[0](torch.cat([image, grown[-1]], dim=1))
+        return torch.cat([image, fine, *grown], dim=1)
+
+    def _levels(self, image: Tensor) -> list[Tensor]:
+        """The levels with all that is around a cell, from the coarsest to the finest."""
+        skipped = [self.stem(image)]
+        for step in self.down:
+            skipped.append(step(skipped[-1]))
+        levels = [self.deep(skipped.pop())]
+        for step in reversed(self.up):
+            same = skipped.pop()
+            levels.append(step(torch.cat([same, _grown(levels[-1], same)], dim=1)))
+        return levels
+
+
+def _grown(coarse: Tensor, image: Tensor) -> Tensor:
+    return nn.functional.interpolate(coarse, image.shape[-2:], mode="bilinear")
 
 
 def _block(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
@@ -92,6 +109,9 @@ class _Context(nn.Module):
         return values + torch.relu(self.mix(values.mean(dim=(2, 3))))[..., None, None]
 
 
+_Network = TypeVar("_Network", bound=nn.Module)
+
+
 @dataclass(frozen=True)
 class IndoorWeights:
     """A trained network, and what the room's structure says of its classes.
@@ -100,18 +120,29 @@ class IndoorWeights:
         network: with batch normalisation merged into the convolutions.
         structure: [6, C] float32, logarithms of the probability that the geometric segmenter gives
             a cell of a class each of its labels (void, floor, wall, ceiling, surface, object).
+        digest: SHA-256 of the file.
     """
 
-    network: nn.Module
+    network: IndoorNetwork
     structure: NDArray[np.float32]
+    digest: str
 
     def log_probabilities(self, channels: Tensor) -> Tensor:
         """Log probabilities [C, h, w] of classes, of channels [8, h, w]."""
-        height, width = channels.shape[1:]
-        missing = -width % MULTIPLE, -height % MULTIPLE
-        image = nn.functional.pad(channels, (0, missing[0], 0, missing[1]))[None]
-        logits = self.network(image.contiguous(memory_format=torch.channels_last))
-        return torch.log_softmax(logits[0, :, :height, :width].contiguous(), dim=0)
+        return torch.log_softmax(_padded(self.network, channels), dim=0)
+
+    def columns(self, channels: Tensor) -> Tensor:
+        """What the network knows of each cell [304, h, w], of channels [8, h, w]."""
+        return _padded(self.network.columns, channels)
+
+
+def _padded(network: Callable[[Tensor], Tensor], channels: Tensor) -> Tensor:
+    """The output of the network for channels [8, h, w] of any size."""
+    height, width = channels.shape[1:]
+    missing = -width % MULTIPLE, -height % MULTIPLE
+    image = nn.functional.pad(channels, (0, missing[0], 0, missing[1]))[None]
+    out = network(image.contiguous(memory_format=torch.channels_last))
+    return out[0, :, :height, :width].contiguous()
 
 
 def load_weights(path: Path) -> IndoorWeights:
@@ -136,10 +167,17 @@ def load_weights(path: Path) -> IndoorWeights:
     if surplus or any(not name.endswith("num_batches_tracked") for name in missing):
         raise FormatError(f"{path}: the weights are of another network; train them again")
     merged = _merged(network.eval()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return IndoorWeights(merged.requires_grad_(False), structure)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return IndoorWeights(merged.requires_grad_(False), structure, digest)
 
 
-def _merged(network: nn.Module) -> nn.Module:
+def shipped_weights() -> IndoorWeights:
+    """The weights of the package."""
+    with resources.as_file(resources.files(__package__) / "weights.safetensors") as path:
+        return load_weights(path)
+
+
+def _merged(network: _Network) -> _Network:
     """The network with each batch normalisation merged into the convolution before it."""
     for child in network.children():
         parts = list(child.children())

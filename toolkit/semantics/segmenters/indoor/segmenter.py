@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toolkit.base.frame import Frame
 from toolkit.base.geometry import se3
@@ -25,13 +25,13 @@ from toolkit.semantics.segmenters.indoor.classes import (
     INDOOR_KINDS,
     OTHER_FURNITURE,
 )
-from toolkit.semantics.segmenters.indoor.network import IndoorWeights, load_weights
+from toolkit.semantics.segmenters.indoor.network import IndoorWeights, load_weights, shipped_weights
 from toolkit.semantics.segmenters.indoor.votes import ClassVotes
 
 Values = NDArray[np.float32]
 
 # Maximum number of cells across the image.
-_COLUMNS = 160
+INDOOR_COLUMNS = 160
 # Probability of the kind (structure, furniture, object) below which a cell is void, and of the
 # group below which furniture is only that.
 _SURE_KIND, _SURE_GROUP = 0.5, 0.4
@@ -70,7 +70,7 @@ class IndoorSegmenter:
         self.class_names: Mapping[int, str] = dict(enumerate(names, start=1))
         self.place_divergence = 0.4
         self._options, self._side = options or GeometricOptions(), side
-        self._weights = _shipped() if weights is None else load_weights(weights)
+        self._weights = shipped_weights() if weights is None else load_weights(weights)
         self._room, self._votes = self._new_room(), ClassVotes(len(INDOOR_CLASSES))
 
     def _new_room(self) -> Room:
@@ -89,7 +89,7 @@ class IndoorSegmenter:
         self, frame: Frame, T_map_camera: NDArray[np.float64] | None = None
     ) -> tuple[SurfaceGrid, Values]:
         """The cells of a frame, and log probabilities [N, C] of the classes of those with depth."""
-        grid = surface_grid(frame.depth_m, frame.camera, _COLUMNS)
+        grid = surface_grid(frame.depth_m, frame.camera, INDOOR_COLUMNS)
         if not grid.oriented.any():
             count = int(grid.valid.sum())
             return grid, np.full((count, len(INDOOR_CLASSES)), -np.log(len(INDOOR_CLASSES)))
@@ -117,13 +117,17 @@ class IndoorSegmenter:
 
 def view_log_probabilities(weights: IndoorWeights, view: LevelledGrid, room: Room) -> Values:
     """Log probabilities [C, h, w] of one view by the network and by the structure of the room."""
-    floor_m = room.floor_height_m
-    below = None if floor_m is None else floor_m - view.camera_height_m
-    channels = indoor_channels(view.grid, view.up_camera, below)
     with torch.no_grad():
-        log_p = weights.log_probabilities(torch.from_numpy(channels)).numpy()
+        log_p = weights.log_probabilities(levelled_channels(view, room)).numpy()
     log_p += weights.structure[label_cells(view, room)].transpose(2, 0, 1)
     return np.asarray(log_p - _log_sum(log_p, axis=0), dtype=np.float32)
+
+
+def levelled_channels(view: LevelledGrid, room: Room) -> Tensor:
+    """The channels [8, h, w] of a view in a room."""
+    floor_m = room.floor_height_m
+    below = None if floor_m is None else floor_m - view.camera_height_m
+    return torch.from_numpy(indoor_channels(view.grid, view.up_camera, below))
 
 
 def _sure_classes(log_p: Values) -> NDArray[np.uint8]:
@@ -154,8 +158,3 @@ def _log_sum(log_p: Values, axis: int) -> Values:
     largest = log_p.max(axis=axis, keepdims=True)
     total = np.exp(log_p - largest).sum(axis=axis, keepdims=True)
     return np.asarray(largest + np.log(total), dtype=np.float32)
-
-
-def _shipped() -> IndoorWeights:
-    with resources.as_file(resources.files(__package__) / "weights.safetensors") as path:
-        return load_weights(path)
