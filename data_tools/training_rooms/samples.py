@@ -30,7 +30,8 @@ class TrainingBatches(IterableDataset):
     """Batches without end: channels [B, 8, h, w] float16 and class ids [B, h, w] uint8.
 
     A batch depends on the seed and its number alone, so that training can be resumed, whatever
-    the number of workers.
+    the number of workers. Every other batch is the one before in a mirror: to make rooms takes as
+    long as to learn from them.
 
     Args:
         seed: of all rooms. first: number of the first batch. size: views in a batch.
@@ -43,9 +44,12 @@ class TrainingBatches(IterableDataset):
         torch.set_num_threads(1)
         worker = get_worker_info()
         start, step = (worker.id, worker.num_workers) if worker else (0, 1)
-        number = self._first + start
+        number = self._first // 2 + start
         while True:
-            yield batch(np.random.default_rng([self._seed, number]), self._size)
+            channels, labels = batch(np.random.default_rng([self._seed, number]), self._size)
+            if number != self._first // 2 or self._first % 2 == 0:
+                yield channels, labels
+            yield channels.flip(-1), labels.flip(-1)
             number += step
 
 

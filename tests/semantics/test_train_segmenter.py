@@ -71,11 +71,14 @@ def test_sensors_measure_near_the_truth_or_nothing():
 
 
 def test_a_batch_depends_on_its_number_alone():
-    first = list(islice(iter(TrainingBatches(7, 0, 2)), 3))
+    first = list(islice(iter(TrainingBatches(7, 0, 2)), 4))
     later = next(iter(TrainingBatches(7, 2, 2)))
+    mirrored = next(iter(TrainingBatches(7, 3, 2)))
     other = next(iter(TrainingBatches(8, 2, 2)))
     for one, two in zip(first[2], later, strict=True):
         assert torch.equal(one, two)
+    for one, mirror, two in zip(first[2], first[3], mirrored, strict=True):
+        assert torch.equal(one.flip(-1), mirror) and torch.equal(mirror, two)
     assert first[2][0].shape != other[0].shape or not torch.equal(first[2][0], other[0])
     assert first[0][0].shape[1] == COUNT and first[0][0].dtype == torch.float16
 
