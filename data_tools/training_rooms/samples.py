@@ -47,9 +47,11 @@ class TrainingBatches(IterableDataset):
         number = self._first // 2 + start
         while True:
             channels, labels = batch(np.random.default_rng([self._seed, number]), self._size)
+            # Before the batch is given away, with its memory.
+            mirrored = channels.flip(-1), labels.flip(-1)
             if number != self._first // 2 or self._first % 2 == 0:
                 yield channels, labels
-            yield channels.flip(-1), labels.flip(-1)
+            yield mirrored
             number += step
 
 
