@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,13 +22,16 @@ from data_tools.training_rooms.rooms import FAMILIES, random_room
 from data_tools.training_rooms.samples import CLASS_IDS
 from data_tools.training_rooms.views import RenderedRoom
 from toolkit.base.frame import Frame
+from toolkit.base.geometry.camera import Camera
 from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegmenter
 from toolkit.semantics.segmenters.geometric.surface_grid import SurfaceGrid, surface_grid
+from toolkit.semantics.segmenters.head_training import score_head, train_head
 from toolkit.semantics.segmenters.indoor.classes import (
     INDOOR_CLASSES,
     INDOOR_GROUPS,
     INDOOR_KINDS,
 )
+from toolkit.semantics.segmenters.indoor.encoder import IndoorEncoder
 from toolkit.semantics.segmenters.indoor.segmenter import IndoorSegmenter
 
 Posed = tuple[Frame, NDArray[np.float64]]
@@ -38,6 +42,8 @@ _SEED, _ROOMS, _VIEWS = 2_000_003, 25, 12
 _SYNTHETIC = ("room-noise", "walk")
 _EVERY = {"office0": 1, "room-noise": 6, "walk": 12}
 _BINS = 10
+# Labelled frames that a head learns from.
+_SHOWN = 10
 _COLUMNS = (
     *("accuracy_percent", "miou_percent", "group_accuracy_percent", "group_miou_percent"),
     *("kind_accuracy_percent", "kind_miou_percent", "ece_percent"),
@@ -69,6 +75,10 @@ def measure(job: list[str], seed: int) -> Metrics:
         job: what is seen, and how it is judged: "one view", "all views" or "geometric".
     """
     source, way = job
+    if way == "head":
+        return _own_classes(source, seed)
+    if way in _HARD:
+        return _answers([_HARD[way](*view) for view in next(_rooms(source, seed))])
     confusion = np.zeros((len(INDOOR_CLASSES), len(INDOOR_CLASSES)))
     sure = np.zeros((_BINS, 3))  # cells, probability, right ones
     times = []
@@ -83,6 +93,112 @@ def measure(job: list[str], seed: int) -> Metrics:
             times.append(time.perf_counter() - begin)
             _count(view[0], grid, log_p, confusion, sure)
     return {**_scores(confusion), "ece_percent": _ece(sure), "view_ms": 1e3 * np.median(times)}
+
+
+def _own_classes(source: str, seed: int) -> Metrics:
+    """Train a head on the labels of some frames, and compare it with those of all others."""
+    dataset, encoder = opened(source, seed), IndoorEncoder()
+    names = dataset.label_names or {}
+    shown = range(0, len(dataset), len(dataset) // _SHOWN)[:_SHOWN]
+    generator = np.random.default_rng(seed)
+    head = train_head(encoder, (dataset[k] for k in shown), names, generator)
+    others = (dataset[k] for k in range(len(dataset)) if k not in shown)
+    score = score_head(encoder, head, others, names)
+    return {
+        "classes": len(head.class_names),
+        "accuracy_percent": 100.0 * score.accuracy,
+        "miou_percent": 100.0 * score.mean_iou,
+    }
+
+
+def _turned(
+    frame: Frame, pose: NDArray[np.float64], degrees: float, width: int, height: int
+) -> Posed:
+    """A view by a camera that is turned about its axis, as if it were not."""
+    camera = frame.camera
+    centre = (width / 2.0 - 0.5, height / 2.0 - 0.5)
+    turn = cv2.getRotationMatrix2D((camera.cx, camera.cy), degrees, 1.0)
+    turn[:, 2] += centre[0] - camera.cx, centre[1] - camera.cy
+
+    def warped(image: NDArray) -> NDArray[np.float32]:
+        values, flags = image.astype(np.float32), cv2.INTER_NEAREST
+        return cv2.warpAffine(values, turn, (width, height), flags=flags).astype(np.float32)
+
+    assert frame.labels is not None
+    labels = warped(frame.labels).astype(np.int32)
+    turned = Camera(camera.fx, camera.fy, *centre, width, height)
+    return Frame(
+        frame.index, frame.timestamp_s, warped(frame.rgb), warped(frame.depth_m), turned, labels
+    ), pose
+
+
+def _cut(frame: Frame, pose: NDArray[np.float64], rows: slice, columns: slice) -> Posed:
+    """A part of a view."""
+    camera, part = frame.camera, (rows, columns)
+    assert frame.labels is not None
+    rgb, depth_m = (np.ascontiguousarray(image[part]) for image in (frame.rgb, frame.depth_m))
+    labels = np.ascontiguousarray(frame.labels[part])
+    left, top = columns.start or 0, rows.start or 0
+    height, width = depth_m.shape
+    seen = Camera(camera.fx, camera.fy, camera.cx - left, camera.cy - top, width, height)
+    return Frame(frame.index, frame.timestamp_s, rgb, depth_m, seen, labels), pose
+
+
+def _street(frame: Frame, pose: NDArray[np.float64]) -> Posed:
+    """A road between two rows of houses, below the sky; nothing of it has a class."""
+    camera = frame.camera
+    x = (np.arange(camera.width) - camera.cx) / camera.fx
+    y = (np.arange(camera.height) - camera.cy) / camera.fy
+    road_m = _EYES_M / np.maximum(y, 1e-6)[:, None]
+    houses_m = _ROAD_M / np.maximum(np.abs(x), 1e-6)[None]
+    depth_m = np.minimum(road_m, houses_m)
+    depth_m[(depth_m > _FARTHEST_M) | (-y[:, None] * houses_m > _ROOF_M)] = 0.0
+    nothing = np.zeros(depth_m.shape, np.int32)
+    return replace(frame, depth_m=depth_m.astype(np.float32), labels=nothing), pose
+
+
+_EYES_M, _ROAD_M, _ROOF_M, _FARTHEST_M = 1.6, 7.0, 9.0, 40.0
+# What a segmenter may meet: views of office0 as other cameras, or careless users, give them.
+_HARD: dict[str, Callable[[Frame, NDArray[np.float64]], Posed]] = {
+    "as it is": lambda f, T: (f, T),
+    "no floor in view": lambda f, T: _cut(f, T, slice(0, f.camera.height // 2), slice(None)),
+    "close-up": lambda f, T: _cut(
+        f, T, *(slice(3 * n // 8, 5 * n // 8) for n in (f.camera.height, f.camera.width))
+    ),
+    "camera turned by 30 degrees": lambda f, T: _turned(f, T, 30, f.camera.width, f.camera.height),
+    "portrait, but told to be upright": lambda f, T: _turned(
+        f, T, 90, f.camera.height, f.camera.width
+    ),
+    "depth ten times too large": lambda f, T: (replace(f, depth_m=f.depth_m * np.float32(10)), T),
+    "depth ten times too small": lambda f, T: (replace(f, depth_m=f.depth_m / np.float32(10)), T),
+    "a street": _street,
+}
+
+
+def _answers(views: list[Posed]) -> Metrics:
+    """What the segmenter says of single views: of how many cells it is sure, and is right."""
+    segmenter, void, kinds, groups = IndoorSegmenter(), 0, np.zeros(3), np.zeros(2)
+    cells, probability = 0, 0.0
+    for frame, _ in views:
+        grid, log_p = segmenter.cells(frame)
+        found = _at_cells(segmenter.segment(frame), grid)[grid.valid]
+        assert frame.labels is not None
+        true = _at_cells(frame.labels, grid)[grid.valid]
+        cells, void = cells + len(found), void + int((found == 0).sum())
+        probability += float(np.exp(log_p.max(axis=1)).sum())
+        named = (found > 0) & (found <= len(INDOOR_CLASSES))
+        kinds += np.bincount(INDOOR_KINDS[found[named] - 1], minlength=3)
+        named &= true > 0
+        right = INDOOR_GROUPS[found[named] - 1] == INDOOR_GROUPS[true[named] - 1]
+        groups += right.sum(), len(right)
+    other = cells - void - kinds.sum()
+    shares = {"void": void, "other_furniture": other, "structure": kinds[0]}
+    shares |= {"furniture": kinds[1], "object": kinds[2]}
+    return {
+        **{f"{name}_percent": 100.0 * value / max(cells, 1) for name, value in shares.items()},
+        "right_group_percent": 100.0 * groups[0] / groups[1] if groups[1] else None,
+        "probability_percent": 100.0 * probability / max(cells, 1),
+    }
 
 
 def _judge(way: str) -> Judge:
@@ -192,6 +308,23 @@ def tables(rows: Rows) -> list[Table]:
             _part(rows, name, _COLUMNS, f"`make-room`, {name}: another style of rooms")
             for name in _SYNTHETIC
         ),
+        _part(
+            rows,
+            "a head",
+            ("classes", "accuracy_percent", "miou_percent"),
+            f"Own classes: `train-head` on {_SHOWN} labelled frames, the pixels of all others",
+        ),
+        _part(
+            rows,
+            "hard inputs",
+            (
+                *("void_percent", "other_furniture_percent", "structure_percent"),
+                *("furniture_percent", "object_percent", "right_group_percent"),
+                "probability_percent",
+            ),
+            "Views of office0, one by one, as other cameras or careless users give them: what "
+            "their cells are called; of those named, the right groups; mean probability",
+        ),
     ]
 
 
@@ -235,6 +368,8 @@ PAGE = Page(
             for name in _SYNTHETIC
             for way in ("one view", "all views", "geometric")
         },
+        "a head: office0": ["office0", "head"],
+        **{f"hard inputs: {way}": ["office0", way] for way in _HARD},
     },
     measure=measure,
     tables=tables,

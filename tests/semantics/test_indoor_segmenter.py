@@ -181,6 +181,16 @@ def test_pixels_without_depth_are_void():
     assert (IndoorSegmenter().segment(nothing) == 0).all()
 
 
+def test_what_is_farther_than_rooms_reach_is_void():
+    view = see(looking((0.0, -1.0, 1.5), (0.0, 1.9, 0.0)))
+    far = replace(view.frame, depth_m=np.float32(4.0) * view.frame.depth_m)
+    segmenter = IndoorSegmenter()
+    for pose in (None, np.eye(4)):
+        labels = segmenter.segment(far, pose)
+        assert labels[far.depth_m < 9.0].any() and (far.depth_m > 11.0).any()
+        assert not labels[far.depth_m > 11.0].any()
+
+
 def test_a_frame_without_a_pose_changes_nothing():
     views, segmenter = walk(2), IndoorSegmenter()
     segmenter.segment(views[0].frame)

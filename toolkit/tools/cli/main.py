@@ -38,7 +38,7 @@ JOBS = {
     "check-data": ("check_data", "read a dataset and report its defects"),
     "make-room": ("make_room", "create a synthetic room with ground truth"),
     "build-taxonomy": ("build_taxonomy", "build a taxonomy from class names"),
-    "train-head": ("train_head", "train a segmentation head on the labels of a dataset"),
+    "train-head": ("train_head", "learn classes of your own from labelled frames"),
     "doctor": ("doctor", "report missing packages and libraries and how to install them"),
 }
 

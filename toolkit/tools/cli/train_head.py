@@ -1,4 +1,4 @@
-"""`semsplat train-head`: train a linear segmentation head on the labels of a dataset."""
+"""`semsplat train-head`: learn classes of your own from the labels of a few frames."""
 
 from __future__ import annotations
 

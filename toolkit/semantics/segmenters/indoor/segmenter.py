@@ -35,6 +35,9 @@ INDOOR_COLUMNS = 160
 # Probability of the kind (structure, furniture, object) below which a cell is void, and of the
 # group below which furniture is only that.
 _SURE_KIND, _SURE_GROUP = 0.5, 0.4
+# Distance of cells up to which rooms looked like those that the network has learned from, in
+# metres. Farther ones are void: streets, halls from their ends, depth in a wrong unit.
+_FARTHEST_M = 10.0
 # Errors of views of a place depend on each other: 0 if they were independent, 1 if they were equal.
 # The value is the likeliest one in rooms that the network has not seen.
 _DEPENDENCE = 0.75
@@ -97,11 +100,13 @@ class IndoorSegmenter:
         pose = np.eye(4) if T_map_camera is None else np.asarray(T_map_camera, dtype=np.float64)
         view = room.update(grid, pose)
         log_p = view_log_probabilities(self._weights, view, room)[:, grid.valid].T
+        near = grid.depth_m[grid.valid] <= _FARTHEST_M
+        log_p[~near] = -np.log(len(INDOOR_CLASSES))
         if T_map_camera is not None:
             points = se3.transform_points(pose, grid.points[grid.valid].astype(np.float64))
-            sums, views = self._votes.add(points, log_p)
+            sums, views = self._votes.add(points[near], log_p[near])
             joined = sums / views[:, None] ** _DEPENDENCE
-            log_p = joined - _log_sum(joined, axis=1)
+            log_p[near] = joined - _log_sum(joined, axis=1)
         return grid, log_p
 
     def state(self) -> dict[str, NDArray]:
