@@ -33,6 +33,7 @@ from toolkit.semantics.segmenters.indoor.classes import (
     INDOOR_GROUPS,
     INDOOR_KINDS,
     INDOOR_TREE,
+    OTHER_FURNITURE,
 )
 from toolkit.semantics.segmenters.indoor.encoder import IndoorEncoder
 from toolkit.semantics.segmenters.indoor.segmenter import IndoorSegmenter
@@ -49,7 +50,7 @@ _BINS = 10
 # cannot tell, or paper lies on a table, several groups are right.
 _REAL = {"redkitchen-native": 2, "hololens": 3, "fr1_rpy": 1}
 _POINTS = Path(__file__).parents[1] / "data" / "labelled_points.json"
-_GROUPS = tuple(group for groups in INDOOR_TREE.values() for group in groups)
+_GROUPS = tuple(g for groups in INDOOR_TREE.values() for g in groups if g != OTHER_FURNITURE)
 # Labelled frames that a head learns from.
 _SHOWN = 10
 _COLUMNS = (
