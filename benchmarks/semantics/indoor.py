@@ -51,6 +51,7 @@ _BINS = 10
 _REAL = {"redkitchen-native": 2, "hololens": 3, "fr1_rpy": 1}
 _POINTS = Path(__file__).parents[1] / "data" / "labelled_points.json"
 _GROUPS = tuple(g for groups in INDOOR_TREE.values() for g in groups if g != OTHER_FURNITURE)
+POINTS_TITLE, HEAD_TITLE = "Points of real recordings named by hand", "A head of own classes"
 # Labelled frames that a head learns from.
 _SHOWN = 10
 _COLUMNS = (
@@ -352,13 +353,13 @@ def tables(rows: Rows) -> list[Table]:
             rows,
             "real",
             ("points", "right_percent", "clear_points", "clear_right_percent"),
-            "Real recordings: groups of points named by hand, of all and of those with one name",
+            POINTS_TITLE,
         ),
         _part(
             rows,
             "a head",
             ("classes", "accuracy_percent", "miou_percent"),
-            f"Own classes: `train-head` on {_SHOWN} labelled frames, the pixels of all others",
+            HEAD_TITLE,
         ),
         _part(
             rows,
@@ -407,7 +408,9 @@ PAGE = Page(
     description="The indoor segmenter, which has learned from other synthetic rooms, at true "
     "poses. mIoU: over the classes that are there. All views: the votes of all views of a room, "
     "as at the end of a run. geometric: `--segmenter.kind geometric`, each surface a table. "
-    "Blinds of office0 are flat like its walls: 12 % of its labelled cells.",
+    "Blinds of office0 are flat like its walls: 12 % of its labelled cells. Points named by hand: "
+    "their groups; clear ones have one name. The head: `train-head` on 10 labelled frames, and "
+    "the pixels of all other frames.",
     jobs={
         **{f"unseen rooms: {family}": [family, "all views"] for family in FAMILIES},
         **{f"office0: {way}": ["office0", way] for way in ("one view", "all views", "geometric")},

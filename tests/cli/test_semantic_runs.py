@@ -208,7 +208,7 @@ def test_without_labels_depth_gives_names(labelled_recording, tmp_path, kind):
     bare = shutil.copytree(labelled_recording, tmp_path / "bare")
     shutil.rmtree(bare / "labels")
     out = tmp_path / "run"
-    words = [] if kind == "geometric" else ["--segmenter.kind", kind]
+    words = [] if kind == "indoor" else ["--segmenter.kind", kind]
     assert main(arguments(bare, out, *words)) == 0
     assert Taxonomy.load(out / "taxonomy.yaml") == shipped_taxonomy(kind)
     names = Taxonomy.load(out / "taxonomy.yaml").classes
