@@ -21,7 +21,11 @@ from toolkit.semantics.segmenters.indoor.classes import (
     OTHER_FURNITURE,
 )
 from toolkit.semantics.segmenters.indoor.network import IndoorNetwork, IndoorWeights, load_weights
-from toolkit.semantics.segmenters.indoor.segmenter import IndoorSegmenter, _sure_classes
+from toolkit.semantics.segmenters.indoor.segmenter import (
+    IndoorSegmenter,
+    _join_pieces,
+    _sure_classes,
+)
 from toolkit.semantics.segmenters.indoor.votes import VOXEL_M, ClassVotes
 from toolkit.semantics.trees import shipped_taxonomy
 
@@ -223,3 +227,20 @@ def test_a_class_is_named_as_far_as_it_is_sure():
     assert named(table=0.3, desk=0.25, wall=0.35) == "table"
     assert named(bed=0.3, sofa=0.3, table=0.3) == OTHER_FURNITURE
     assert named(wall=0.45, bed=0.3, thing=0.25) == "void"
+
+
+def test_a_sofa_whose_end_looks_like_a_bed_is_a_sofa():
+    valid = np.ones((3, 12), bool)
+    p = np.full((3, 12, len(INDOOR_CLASSES)), 1e-3, np.float32)
+    sofa, bed, wall = (number - 1 for number in identifiers("sofa", "bed", "wall"))
+    p[:, :5, sofa], p[:, :5, bed] = 0.7, 0.2
+    p[:, 5:7, sofa], p[:, 5:7, bed] = 0.4, 0.5
+    p[:, 7:9, wall] = 0.9
+    p[:, 9:, sofa], p[:, 9:, bed] = 0.3, 0.6
+    log_p = np.log(p.reshape(36, -1))
+    _join_pieces(log_p, valid)
+    joined = np.exp(log_p).reshape(p.shape)
+    assert (joined.argmax(axis=2)[:, :7] == sofa).all()
+    # A bed behind a wall remains one, and nobody gains or loses.
+    assert np.allclose(joined[:, 7:], p[:, 7:], atol=1e-6)
+    assert np.allclose(joined.sum(axis=2), p.sum(axis=2), atol=1e-5)
