@@ -180,7 +180,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path, help="file of weights to write, safetensors")
     parser.add_argument("--state", type=Path, required=True, help="file to continue from")
-    parser.add_argument("--steps", type=int, default=20000, help="steps of 16 views")
+    parser.add_argument("--steps", type=int, default=40000, help="steps of 16 views")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1, help="processes that make rooms")
     options = parser.parse_args()
