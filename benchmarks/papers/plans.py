@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from benchmarks.papers.runs import Group, Place
@@ -44,6 +45,7 @@ _GIVEN: Values = {"poses": "given"}
 _TESTED: Values = {
     "loops": {"verify": True, "pose_graph": {"confidence": 0.999, "kernel": "cauchy"}}
 }
+_NETWORK: Values = {"segmenter": {"kind": "indoor"}}
 _CELLS: Values = {"seeding": {"choice": "cells", "max_cell": 1}}
 _MOTION: Values = {"submaps": {"allocation": {"rule": "motion"}}}
 _UNTESTED: Values = {
@@ -101,6 +103,27 @@ GROUPS: dict[str, Group] = {
                 **_NO_REFINEMENT,
             ),
             "default": _options(**_NO_REFINEMENT),
+        },
+    ),
+    # With classes from depth alone beside true ones.
+    "classes": Group(
+        {"room": replace(_SYNTHETIC["room"], indoor=True)},
+        {
+            "hier-slam": _preset("hier-slam"),
+            "hier-slam-network": _preset("hier-slam", **_NETWORK),
+            "gausem": _preset("gausem"),
+            "gausem-network": _preset("gausem", **_NETWORK),
+            "default": {},
+            "default-network": _options(**_NETWORK),
+        },
+    ),
+    "classes-loops": Group(
+        {f"ring-{k}": replace(_RINGS[f"ring-{k}"], indoor=True) for k in range(3)},
+        {
+            "landmarks": _options(loops=_UNTESTED, **_NO_REFINEMENT),
+            "landmarks-network": _options(loops=_UNTESTED, **_NO_REFINEMENT, **_NETWORK),
+            "default": {},
+            "default-network": _options(**_NETWORK),
         },
     ),
     "ours-synthetic": Group(_SYNTHETIC, {"default": {}, "best": _preset("best")}, 5),

@@ -45,7 +45,7 @@ Judge = Callable[[Posed], tuple[SurfaceGrid, NDArray[np.float32]]]
 _SEED, _ROOMS, _VIEWS = 2_000_003, 25, 12
 _SYNTHETIC = ("room-noise", "walk")
 _EVERY = {"office0": 1, "room-noise": 6, "walk": 12}
-_BINS = 10
+BINS = 10
 # Real recordings with points named by hand, and the interval of the frames that vote. Where one
 # cannot tell, or paper lies on a table, several groups are right.
 _REAL = {"redkitchen-native": 2, "hololens": 3, "fr1_rpy": 1}
@@ -88,13 +88,13 @@ def measure(job: list[str], seed: int) -> Metrics:
     if way == "head":
         return _own_classes(source, seed)
     if way in _HARD:
-        return _answers([_HARD[way](*view) for view in next(_rooms(source, seed))])
+        return _answers([_HARD[way](*view) for view in next(labelled_views(source, seed))])
     if source in _REAL:
         return _at_points(source, way, seed)
     confusion = np.zeros((len(INDOOR_CLASSES), len(INDOOR_CLASSES)))
-    sure = np.zeros((_BINS, 3))  # cells, probability, right ones
+    sure = np.zeros((BINS, 3))  # cells, probability, right ones
     times = []
-    for views in _rooms(source, seed):
+    for views in labelled_views(source, seed):
         judge = _judge(way)
         if way == "all views":
             for view in views:
@@ -103,8 +103,8 @@ def measure(job: list[str], seed: int) -> Metrics:
             begin = time.perf_counter()
             grid, log_p = judge(view)
             times.append(time.perf_counter() - begin)
-            _count(view[0], grid, log_p, confusion, sure)
-    return {**_scores(confusion), "ece_percent": _ece(sure), "view_ms": 1e3 * np.median(times)}
+            count_cells(view[0], grid, log_p, confusion, sure)
+    return {**scores(confusion), "ece_percent": _ece(sure), "view_ms": 1e3 * np.median(times)}
 
 
 def _at_points(source: str, way: str, seed: int) -> Metrics:
@@ -259,7 +259,7 @@ def _judge(way: str) -> Judge:
     return judged
 
 
-def _rooms(source: str, seed: int) -> Iterator[list[Posed]]:
+def labelled_views(source: str, seed: int) -> Iterator[list[Posed]]:
     """The views of each room of a source, with their labels in the order of the classes."""
     if source in FAMILIES:
         for number in range(_ROOMS):
@@ -274,7 +274,7 @@ def _rooms(source: str, seed: int) -> Iterator[list[Posed]]:
             ]
         return
     dataset = opened(source, seed)
-    table = _relabelling(dataset.label_names or {})
+    table = relabelling(dataset.label_names or {})
     poses = dataset.ground_truth
     assert poses is not None
     frames: Iterable[Frame] = (dataset[k] for k in range(0, len(dataset), _EVERY[source]))
@@ -285,7 +285,8 @@ def _rooms(source: str, seed: int) -> Iterator[list[Posed]]:
     ]
 
 
-def _relabelling(names: Mapping[int, str]) -> NDArray[np.int32]:
+def relabelling(names: Mapping[int, str]) -> NDArray[np.int32]:
+    """A table from class ids of Replica's names to those of `CLASS_IDS`."""
     known = {name: ours for ours, theirs in _OF_REPLICA.items() for name in theirs}
     table = np.zeros(max(names) + 1, np.int32)
     for number, name in names.items():
@@ -299,13 +300,14 @@ def _at_cells(image: NDArray[np.int32], grid: SurfaceGrid) -> NDArray[np.int32]:
     return image[start :: grid.block, start :: grid.block][:height, :width]
 
 
-def _count(
+def count_cells(
     frame: Frame,
     grid: SurfaceGrid,
     log_p: NDArray[np.float32],
     confusion: NDArray[np.float64],
     sure: NDArray[np.float64],
 ) -> None:
+    """Add the cells of a frame to a confusion matrix, and to bins of probability."""
     assert frame.labels is not None
     true = _at_cells(frame.labels, grid)[grid.valid]
     known = true > 0
@@ -313,7 +315,7 @@ def _count(
     found, p = log_p.argmax(axis=1), np.exp(log_p.max(axis=1))
     np.add.at(confusion, (true, found), 1.0)
     values = np.stack([np.ones_like(p), p, found == true], axis=1)
-    np.add.at(sure, np.minimum((p * _BINS).astype(int), _BINS - 1), values)
+    np.add.at(sure, np.minimum((p * BINS).astype(int), BINS - 1), values)
 
 
 def _ece(sure: NDArray[np.float64]) -> float:
@@ -321,7 +323,8 @@ def _ece(sure: NDArray[np.float64]) -> float:
     return float(100.0 * np.abs(sure[:, 1] - sure[:, 2]).sum() / max(sure[:, 0].sum(), 1.0))
 
 
-def _scores(confusion: NDArray[np.float64]) -> Metrics:
+def scores(confusion: NDArray) -> Metrics:
+    """Accuracy and mIoU of classes, groups and kinds, and recalls, of a confusion matrix."""
     found: Metrics = {}
     levels = {"": np.arange(len(INDOOR_CLASSES)), "group_": INDOOR_GROUPS, "kind_": INDOOR_KINDS}
     for level, numbers in levels.items():
