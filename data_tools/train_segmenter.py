@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -138,18 +138,22 @@ def class_loss(logits: Tensor, labels: Tensor, frequency: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def confusion(network: nn.Module, batches: int, family: str | None = None) -> Tensor:
-    """Confusion matrix [C, C] (true, predicted) over rooms that training does not show."""
+def confusion(network: nn.Module, batches: Iterable[tuple[Tensor, Tensor]]) -> Tensor:
+    """Confusion matrix [C, C] (true, predicted) of batches of channels and labels."""
     count = len(INDOOR_CLASSES)
     matrix = torch.zeros(count * count)
-    for number in range(batches):
-        rng = np.random.default_rng([_VALIDATION_SEED, number])
-        channels, labels = batch(rng, _BATCH, per_room=2, family=family)
+    for channels, labels in batches:
         found = network(channels.float()).argmax(dim=1)
         known = labels > 0
         pairs = (labels[known].long() - 1) * count + found[known]
         matrix += torch.bincount(pairs, minlength=count * count)
     return matrix.reshape(count, count)
+
+
+def unseen_batches(count: int) -> Iterator[tuple[Tensor, Tensor]]:
+    """Views of rooms that training does not show."""
+    for number in range(count):
+        yield batch(np.random.default_rng([_VALIDATION_SEED, number]), _BATCH, per_room=2)
 
 
 def summary(matrix: Tensor) -> Mapping[str, float]:
@@ -206,7 +210,7 @@ def main() -> None:
         training.save(options.state)
     bar.close()
     export(training, options.out)
-    matrix = confusion(training.averaged(), _VALIDATION_BATCHES)
+    matrix = confusion(training.averaged(), unseen_batches(_VALIDATION_BATCHES))
     for name, value in summary(matrix).items():
         print(f"{name:10} {value:5.1f}")
 

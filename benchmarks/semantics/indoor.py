@@ -333,7 +333,9 @@ def scores(confusion: NDArray) -> Metrics:
         hit, there = joined.diagonal(), joined.sum(axis=1)
         union = joined.sum(axis=0) + there - hit
         found[f"{level}accuracy_percent"] = 100.0 * hit.sum() / joined.sum()
-        found[f"{level}miou_percent"] = float(100.0 * np.mean((hit / np.maximum(union, 1))[there > 0]))
+        found[f"{level}miou_percent"] = float(
+            100.0 * np.mean((hit / np.maximum(union, 1))[there > 0])
+        )
     for name in _RECALLS:
         row = confusion[INDOOR_CLASSES.index(name)]
         recall = row[INDOOR_CLASSES.index(name)] / row.sum() if row.sum() else None

@@ -55,12 +55,10 @@ class TrainingBatches(IterableDataset):
             number += step
 
 
-def batch(
-    rng: Generator, count: int, per_room: int = 6, family: str | None = None
-) -> tuple[Tensor, Tensor]:
+def batch(rng: Generator, count: int, per_room: int = 6) -> tuple[Tensor, Tensor]:
     """A batch of views of one size."""
     size = _SIZES[rng.choice(len(_SIZES), p=_SIZE_WEIGHTS)]
-    views = training_views(rng, CLASS_IDS, size, per_room, family)
+    views = training_views(rng, CLASS_IDS, size, per_room)
     samples = [sample(rng, next(views)) for _ in range(count)]
     channels = torch.from_numpy(np.stack([channels for channels, _ in samples]))
     return channels, torch.from_numpy(np.stack([labels for _, labels in samples]))
