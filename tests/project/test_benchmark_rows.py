@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import tyro
 import yaml
@@ -30,12 +34,32 @@ COMMANDS = [
 ]
 
 
+def labelled(folder: Path) -> Path:
+    """A room of one label image, of a bottle and a sofa."""
+    (folder / "labels").mkdir(parents=True, exist_ok=True)
+    names = {"classes": {"1": "bottle", "2": "sofa"}}
+    (folder / "labels" / "classes.json").write_text(json.dumps(names))
+    cv2.imwrite(str(folder / "labels" / "label000000.png"), np.array([[0, 1, 2]], np.uint8))
+    return folder
+
+
+def test_a_room_can_have_the_classes_of_the_indoor_segmenter(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(recordings, "room", lambda name, seed: labelled(tmp_path / name))
+    planned = runs.Place("room", (160, 120), indoor=True).planned(quick=False)
+    labels = Path(planned["dataset"]["path"]) / "labels"
+    found = cv2.imread(str(labels / "label000000.png"), cv2.IMREAD_UNCHANGED)
+    names = {"0": "void"} | json.loads((labels / "classes.json").read_text())["classes"]
+    assert [names[str(value)] for value in found[0]] == ["void", "thing", "sofa"]
+
+
 @pytest.mark.parametrize("name", plans.GROUPS)
 def test_plans_of_the_papers_tables_are_valid(name: str, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("SEMSPLAT_DATA", str(tmp_path))
     for recording in recordings.RECORDINGS.values():
         (tmp_path / recording.folder).mkdir(parents=True, exist_ok=True)
-    monkeypatch.setattr(recordings, "room", lambda name, seed: tmp_path / f"{name}-{seed}")
+    monkeypatch.setattr(
+        recordings, "room", lambda name, seed: labelled(tmp_path / f"{name}-{seed}")
+    )
     group = plans.GROUPS[name]
     for quick in (False, True):
         path = tmp_path / "plan.yaml"
