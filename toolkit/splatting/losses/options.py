@@ -24,7 +24,7 @@ class RgbdLossWeights:
     # keep moving Gaussians that already fit.
     colour_scale: PositiveFloat = 0.02
     """Colour residual below which the loss is quadratic, for colours in [0, 1]."""
-    depth_scale_m: PositiveFloat = 0.002
+    depth_scale_m: PositiveFloat = 0.005
     """Depth residual at a depth of 1 m below which the loss is quadratic, in metres."""
     min_silhouette: Fraction = 0.5
     """Minimum silhouette of the pixels included in the depth loss."""
