@@ -85,7 +85,7 @@ def test_refinement_fills_a_hole_that_no_keyframe_measured(room: MappedRoom):
     frame, pose = without_depth(room.frames[0]), room.T_map_camera[:1]
     empty = mapped([frame], pose, replace(OPTIONS, fill_holes=False))
     filled = mapped([frame], pose)
-    assert colour_error(empty, empty.keyframes[0]) > 0.07
+    assert colour_error(empty, empty.keyframes[0]) > 0.08
     assert colour_error(filled, filled.keyframes[0]) < 0.05
     assert len(filled.gaussians) > len(empty.gaussians)
 
