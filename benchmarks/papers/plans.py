@@ -55,6 +55,15 @@ _UNTESTED: Values = {
     "candidates": {"threshold": "fixed"},
 }
 
+
+def _beside_network(settings: dict[str, Values]) -> dict[str, Values]:
+    """The settings, and the same with the indoor network instead of labels."""
+    return settings | {
+        f"{name}-network": entry | _options(**entry.get("options", {}), **_NETWORK)
+        for name, entry in settings.items()
+    }
+
+
 GROUPS: dict[str, Group] = {
     "gausem-ablation": Group(
         {"ring-slow": Place("ring-slow", (120, 90))},
@@ -108,23 +117,13 @@ GROUPS: dict[str, Group] = {
     # With classes from depth alone beside true ones.
     "classes": Group(
         {"room": replace(_SYNTHETIC["room"], indoor=True)},
-        {
-            "hier-slam": _preset("hier-slam"),
-            "hier-slam-network": _preset("hier-slam", **_NETWORK),
-            "gausem": _preset("gausem"),
-            "gausem-network": _preset("gausem", **_NETWORK),
-            "default": {},
-            "default-network": _options(**_NETWORK),
-        },
+        _beside_network(
+            {"hier-slam": _preset("hier-slam"), "gausem": _preset("gausem"), "default": {}}
+        ),
     ),
     "classes-loops": Group(
         {f"ring-{k}": replace(_RINGS[f"ring-{k}"], indoor=True) for k in range(3)},
-        {
-            "landmarks": _options(loops=_UNTESTED, **_NO_REFINEMENT),
-            "landmarks-network": _options(loops=_UNTESTED, **_NO_REFINEMENT, **_NETWORK),
-            "default": {},
-            "default-network": _options(**_NETWORK),
-        },
+        _beside_network({"landmarks": _options(loops=_UNTESTED, **_NO_REFINEMENT), "default": {}}),
     ),
     "ours-synthetic": Group(_SYNTHETIC, {"default": {}, "best": _preset("best")}, 5),
     "gausem-synthetic": Group(_SYNTHETIC, {"gausem": _preset("gausem")}, 5),

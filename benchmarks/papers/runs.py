@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
@@ -12,17 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import yaml
 
-from benchmarks.semantics.indoor import relabelling
+from benchmarks.shared.indoor_labels import with_indoor_labels
 from benchmarks.shared.programs import semsplat_command
 from benchmarks.shared.recordings import source_of
 from benchmarks.shared.repository import source_digest
 from benchmarks.shared.runner import WORK
 from benchmarks.shared.tables import Metrics
-from data_tools.training_rooms.samples import CLASS_IDS
 from toolkit.runs.evaluation.metrics import flattened, read_metrics
 
 Values = dict[str, Any]
@@ -67,7 +63,7 @@ class Place:
     def planned(self, quick: bool) -> Values:
         """The sequence as a plan describes it; a room is rendered if it does not exist yet."""
         kind, path, _ = source_of(self.name, self.room_seed)
-        path = _with_indoor_labels(path) if self.indoor else path
+        path = with_indoor_labels(path) if self.indoor else path
         dataset = {"kind": kind, "path": str(path)}
         options = {"image_size": list(self.size), **self.options}
         frames = QUICK_FRAMES if quick else self.frames
@@ -166,25 +162,6 @@ class PaperRuns:
             same_kind = folder.is_dir() and folder.name.endswith("-quick") == self._effort.quick
             if same_kind and folder != self._folder:
                 shutil.rmtree(folder)
-
-
-def _with_indoor_labels(source: Path) -> Path:
-    """A copy of a room whose labels have the classes of the indoor segmenter."""
-    folder = source.with_name(f"{source.name}-indoor")
-    if not folder.is_dir():
-        partial = source.with_name(f"{folder.name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        shutil.copytree(source, partial)
-        classes = partial / "labels" / "classes.json"
-        known = json.loads(classes.read_text())["classes"]
-        table = relabelling({int(number): name for number, name in known.items()})
-        for file in partial.rglob("label*.png"):
-            labels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-            cv2.imwrite(str(file), table[labels].astype(np.uint8))
-        numbered = {str(number): name for name, number in CLASS_IDS.items()}
-        classes.write_text(json.dumps({"void": 0, "classes": numbered}))
-        partial.rename(folder)
-    return folder
 
 
 def _run_many(plan: Path) -> int:

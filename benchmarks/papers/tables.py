@@ -67,16 +67,17 @@ def main() -> None:
     seeds = 1 if options.quick else options.seeds
     runs = PaperRuns(GROUPS, Effort(options.quick, seeds))
     runs.execute(options.groups, options.processes)
-    name = "tables-quick" if options.quick else "tables"
+    name, title = "tables", "The papers' tables"
+    if options.quick:
+        name, title = f"{name}-quick", f"{title}, quick check"
     chosen = TABLES
     if set(options.groups) != set(GROUPS):
-        name = f"{name}-{options.groups[0]}"
+        name, title = f"{name}-{options.groups[0]}", f"{title}: {', '.join(options.groups)}"
         chosen = tuple(
             t for t in TABLES if {row.group for row in t.rows.values()} <= set(options.groups)
         )
     tables = [run_table(table, runs) for table in chosen]
     print(f"{(time.perf_counter() - begin) / 60:.0f} minutes")
-    title = "The papers' tables" + (", quick check" if options.quick else "")
     publish(Results(name, title, DESCRIPTION, header, tuple(tables)), options.out)
 
 

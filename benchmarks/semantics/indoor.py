@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.semantics.hard_views import HARD_VIEWS, Posed
+from benchmarks.shared.indoor_labels import relabelling
 from benchmarks.shared.recordings import opened
 from benchmarks.shared.runner import Page
 from benchmarks.shared.tables import Metrics, Rows, Table, Target, table_of, targets_of
@@ -24,7 +25,6 @@ from data_tools.training_rooms.rooms import FAMILIES, random_room
 from data_tools.training_rooms.samples import CLASS_IDS
 from data_tools.training_rooms.views import RenderedRoom
 from toolkit.base.frame import Frame
-from toolkit.base.geometry.camera import Camera
 from toolkit.semantics.segmenters.geometric import CLASS_NAMES, GeometricSegmenter
 from toolkit.semantics.segmenters.geometric.surface_grid import SurfaceGrid, surface_grid
 from toolkit.semantics.segmenters.head_training import score_head, train_head
@@ -38,14 +38,13 @@ from toolkit.semantics.segmenters.indoor.classes import (
 from toolkit.semantics.segmenters.indoor.encoder import IndoorEncoder
 from toolkit.semantics.segmenters.indoor.segmenter import IndoorSegmenter
 
-Posed = tuple[Frame, NDArray[np.float64]]
 # Cells of a view with depth, and log probabilities [N, C] of their classes.
 Judge = Callable[[Posed], tuple[SurfaceGrid, NDArray[np.float32]]]
 
 _SEED, _ROOMS, _VIEWS = 2_000_003, 25, 12
 _SYNTHETIC = ("room-noise", "walk")
 _EVERY = {"office0": 1, "room-noise": 6, "walk": 12}
-BINS = 10
+_BINS = 10
 # Real recordings with points named by hand, and the interval of the frames that vote. Where one
 # cannot tell, or paper lies on a table, several groups are right.
 _REAL = {"redkitchen-native": 2, "hololens": 3, "fr1_rpy": 1}
@@ -60,21 +59,6 @@ _COLUMNS = (
 )
 _RECALLS = ("sofa", "table", "chair", "screen", "plant", "cabinet", "door", "window", "blinds")
 
-# Classes of Replica, whose names synthetic rooms use too, that are not `thing`.
-_OF_REPLICA = {
-    "floor": ("floor", "rug", "mat"),
-    "wall": ("wall", "pillar", "panel", "switch", "wall-plug", "vent", "beam"),
-    "ceiling": ("ceiling",), "door": ("door",), "window": ("window",),
-    "blinds": ("blinds", "curtain"), "table": ("table", "table-runner"), "desk": ("desk",),
-    "chair": ("chair", "stool", "bench", "beanbag"), "sofa": ("sofa",),
-    "bed": ("bed", "comforter", "blanket"), "shelf": ("shelf", "rack"),
-    "cabinet": ("cabinet", "base-cabinet", "wall-cabinet", "wardrobe", "nightstand", "tv-stand",
-                "countertop"),
-    "appliance": ("refrigerator", "microwave", "major-appliance", "small-appliance", "cooktop"),
-    "sanitary": ("bathtub", "toilet", "sink", "shower-stall"), "lamp": ("lamp",),
-    "screen": ("tv-screen", "monitor", "laptop"), "picture": ("picture", "clock"),
-    "plant": ("indoor-plant", "plant-stand"), "cushion": ("cushion", "pillow"), "box": ("box",),
-}  # fmt: skip
 _GEOMETRIC = {"floor": "floor", "wall": "wall", "ceiling": "ceiling", "surface": "table"}
 
 
@@ -87,12 +71,12 @@ def measure(job: list[str], seed: int) -> Metrics:
     source, way = job
     if way == "head":
         return _own_classes(source, seed)
-    if way in _HARD:
-        return _answers([_HARD[way](*view) for view in next(labelled_views(source, seed))])
+    if way in HARD_VIEWS:
+        return _answers([HARD_VIEWS[way](*view) for view in next(labelled_views(source, seed))])
     if source in _REAL:
         return _at_points(source, way, seed)
     confusion = np.zeros((len(INDOOR_CLASSES), len(INDOOR_CLASSES)))
-    sure = np.zeros((BINS, 3))  # cells, probability, right ones
+    sure = np.zeros((_BINS, 3))  # cells, probability, right ones
     times = []
     for views in labelled_views(source, seed):
         judge = _judge(way)
@@ -103,7 +87,9 @@ def measure(job: list[str], seed: int) -> Metrics:
             begin = time.perf_counter()
             grid, log_p = judge(view)
             times.append(time.perf_counter() - begin)
-            count_cells(view[0], grid, log_p, confusion, sure)
+            true, log_p = labelled_cells(view[0], grid, log_p)
+            np.add.at(confusion, (true, log_p.argmax(axis=1)), 1.0)
+            _count_sure(sure, true, log_p)
     return {**scores(confusion), "ece_percent": _ece(sure), "view_ms": 1e3 * np.median(times)}
 
 
@@ -150,70 +136,6 @@ def _own_classes(source: str, seed: int) -> Metrics:
         "accuracy_percent": 100.0 * score.accuracy,
         "miou_percent": 100.0 * score.mean_iou,
     }
-
-
-def _turned(
-    frame: Frame, pose: NDArray[np.float64], degrees: float, width: int, height: int
-) -> Posed:
-    """A view by a camera that is turned about its axis, as if it were not."""
-    camera = frame.camera
-    centre = (width / 2.0 - 0.5, height / 2.0 - 0.5)
-    turn = cv2.getRotationMatrix2D((camera.cx, camera.cy), degrees, 1.0)
-    turn[:, 2] += centre[0] - camera.cx, centre[1] - camera.cy
-
-    def warped(image: NDArray) -> NDArray[np.float32]:
-        values, flags = image.astype(np.float32), cv2.INTER_NEAREST
-        return cv2.warpAffine(values, turn, (width, height), flags=flags).astype(np.float32)
-
-    assert frame.labels is not None
-    labels = warped(frame.labels).astype(np.int32)
-    turned = Camera(camera.fx, camera.fy, *centre, width, height)
-    return Frame(
-        frame.index, frame.timestamp_s, warped(frame.rgb), warped(frame.depth_m), turned, labels
-    ), pose
-
-
-def _cut(frame: Frame, pose: NDArray[np.float64], rows: slice, columns: slice) -> Posed:
-    """A part of a view."""
-    camera, part = frame.camera, (rows, columns)
-    assert frame.labels is not None
-    rgb, depth_m = (np.ascontiguousarray(image[part]) for image in (frame.rgb, frame.depth_m))
-    labels = np.ascontiguousarray(frame.labels[part])
-    left, top = columns.start or 0, rows.start or 0
-    height, width = depth_m.shape
-    seen = Camera(camera.fx, camera.fy, camera.cx - left, camera.cy - top, width, height)
-    return Frame(frame.index, frame.timestamp_s, rgb, depth_m, seen, labels), pose
-
-
-def _street(frame: Frame, pose: NDArray[np.float64]) -> Posed:
-    """A road between two rows of houses, below the sky; nothing of it has a class."""
-    camera = frame.camera
-    x = (np.arange(camera.width) - camera.cx) / camera.fx
-    y = (np.arange(camera.height) - camera.cy) / camera.fy
-    road_m = _EYES_M / np.maximum(y, 1e-6)[:, None]
-    houses_m = _ROAD_M / np.maximum(np.abs(x), 1e-6)[None]
-    depth_m = np.minimum(road_m, houses_m)
-    depth_m[(depth_m > _FARTHEST_M) | (-y[:, None] * houses_m > _ROOF_M)] = 0.0
-    nothing = np.zeros(depth_m.shape, np.int32)
-    return replace(frame, depth_m=depth_m.astype(np.float32), labels=nothing), pose
-
-
-_EYES_M, _ROAD_M, _ROOF_M, _FARTHEST_M = 1.6, 7.0, 9.0, 40.0
-# What a segmenter may meet: views of office0 as other cameras, or careless users, give them.
-_HARD: dict[str, Callable[[Frame, NDArray[np.float64]], Posed]] = {
-    "as it is": lambda f, T: (f, T),
-    "no floor in view": lambda f, T: _cut(f, T, slice(0, f.camera.height // 2), slice(None)),
-    "close-up": lambda f, T: _cut(
-        f, T, *(slice(3 * n // 8, 5 * n // 8) for n in (f.camera.height, f.camera.width))
-    ),
-    "camera turned by 30 degrees": lambda f, T: _turned(f, T, 30, f.camera.width, f.camera.height),
-    "portrait, but told to be upright": lambda f, T: _turned(
-        f, T, 90, f.camera.height, f.camera.width
-    ),
-    "depth ten times too large": lambda f, T: (replace(f, depth_m=f.depth_m * np.float32(10)), T),
-    "depth ten times too small": lambda f, T: (replace(f, depth_m=f.depth_m / np.float32(10)), T),
-    "a street": _street,
-}
 
 
 def _answers(views: list[Posed]) -> Metrics:
@@ -285,37 +207,29 @@ def labelled_views(source: str, seed: int) -> Iterator[list[Posed]]:
     ]
 
 
-def relabelling(names: Mapping[int, str]) -> NDArray[np.int32]:
-    """A table from class ids of Replica's names to those of `CLASS_IDS`."""
-    known = {name: ours for ours, theirs in _OF_REPLICA.items() for name in theirs}
-    table = np.zeros(max(names) + 1, np.int32)
-    for number, name in names.items():
-        table[number] = CLASS_IDS[known.get(name, "thing")]
-    return table
-
-
 def _at_cells(image: NDArray[np.int32], grid: SurfaceGrid) -> NDArray[np.int32]:
     """The pixel in the middle of each cell."""
     (height, width), start = grid.valid.shape, grid.block // 2
     return image[start :: grid.block, start :: grid.block][:height, :width]
 
 
-def count_cells(
-    frame: Frame,
-    grid: SurfaceGrid,
-    log_p: NDArray[np.float32],
-    confusion: NDArray[np.float64],
-    sure: NDArray[np.float64],
-) -> None:
-    """Add the cells of a frame to a confusion matrix, and to bins of probability."""
+def labelled_cells(
+    frame: Frame, grid: SurfaceGrid, log_p: NDArray[np.float32]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Of cells with a label, the index [N] of its class and log probabilities [N, C]."""
     assert frame.labels is not None
     true = _at_cells(frame.labels, grid)[grid.valid]
     known = true > 0
-    true, log_p = true[known] - 1, log_p[known]
-    found, p = log_p.argmax(axis=1), np.exp(log_p.max(axis=1))
-    np.add.at(confusion, (true, found), 1.0)
-    values = np.stack([np.ones_like(p), p, found == true], axis=1)
-    np.add.at(sure, np.minimum((p * BINS).astype(int), BINS - 1), values)
+    return true[known] - 1, log_p[known]
+
+
+def _count_sure(
+    sure: NDArray[np.float64], true: NDArray[np.int32], log_p: NDArray[np.float32]
+) -> None:
+    """Add cells to bins of the probability of the likeliest class."""
+    p, right = np.exp(log_p.max(axis=1)), log_p.argmax(axis=1) == true
+    values = np.stack([np.ones_like(p), p, right], axis=1)
+    np.add.at(sure, np.minimum((p * _BINS).astype(int), _BINS - 1), values)
 
 
 def _ece(sure: NDArray[np.float64]) -> float:
@@ -430,7 +344,7 @@ PAGE = Page(
             for way in ("one view", "all views", "geometric")
         },
         "a head: office0": ["office0", "head"],
-        **{f"hard inputs: {way}": ["office0", way] for way in _HARD},
+        **{f"hard inputs: {way}": ["office0", way] for way in HARD_VIEWS},
     },
     measure=measure,
     tables=tables,

@@ -14,7 +14,7 @@ import torch
 from numpy.random import Generator
 from torch import Tensor
 
-from benchmarks.semantics.indoor import BINS, count_cells, labelled_views, scores
+from benchmarks.semantics.indoor import labelled_cells, labelled_views, scores
 from benchmarks.shared.runner import WORK, Page
 from benchmarks.shared.tables import Metrics, Rows, Table, table_of
 from data_tools.train_segmenter import Training, confusion, export
@@ -60,10 +60,8 @@ def measure(job: list[str], seed: int) -> Metrics:
         training.average[reader][:, blank] = 0
     network = training.averaged()
     by_family = {f: confusion(network, _batches(*_views(f, _JUDGES))).numpy() for f in FAMILIES}
-    wanted = ("accuracy_percent", "miou_percent")
-    metrics: Metrics = {
-        key: scores(np.sum(list(by_family.values()), axis=0))[key] for key in wanted
-    }
+    together = scores(np.sum(list(by_family.values()), axis=0))
+    metrics: Metrics = {key: together[key] for key in ("accuracy_percent", "miou_percent")}
     metrics |= {
         f"{f}_miou_percent": scores(matrix)["miou_percent"] for f, matrix in by_family.items()
     }
@@ -75,13 +73,14 @@ def measure(job: list[str], seed: int) -> Metrics:
 
 def _at_office(weights: IndoorWeights, seed: int) -> Metrics:
     """Groups of single views of office0."""
-    matrix, sure = np.zeros((len(INDOOR_CLASSES), len(INDOOR_CLASSES))), np.zeros((BINS, 3))
+    matrix = np.zeros((len(INDOOR_CLASSES), len(INDOOR_CLASSES)))
     for frame, _ in next(labelled_views("office0", seed)):
         grid = surface_grid(frame.depth_m, frame.camera, _SIZE[0])
         room = Room(GeometricOptions().camera_height_m)
         view = room.update(grid, np.eye(4))
         log_p = view_log_probabilities(weights, view, room)[:, grid.valid].T
-        count_cells(frame, grid, log_p, matrix, sure)
+        true, log_p = labelled_cells(frame, grid, log_p)
+        np.add.at(matrix, (true, log_p.argmax(axis=1)), 1.0)
     found = scores(matrix)
     wanted = ("group_accuracy_percent", "group_miou_percent")
     return {f"office0_{key}": found[key] for key in wanted}
